@@ -17,7 +17,7 @@ from .names import NOBODY, UNKNOWN, Families, Groups, Registry, Slots
 from .results import LAST_NODE_HANDLE, SceneHit
 from .rows import Rows
 from .shapes.footprint import FOOTPRINT, footprints
-from .shapes.hull import NO_HULLS, Hulls, MeshStore
+from .shapes.hull import NO_HULLS, Hulls, MeshStore, of_one_type
 from .shapes.shape import GEOMETRY, MESH, UNTURNED, Floats, shapes_of
 
 # ---- Long work in another thread, while others have their turn.
@@ -205,7 +205,7 @@ class Columns:
             self.meshes.hulls if self._expects_meshes or self.meshes.by_number else None
         )
         self.shapes = ((solid, hulls), None) if flat is None else (None, (flat, hulls))
-        self.bodies = Bodies(solid, flat, hulls, None if hulls is None else NO_HULLS)
+        self.bodies = Bodies(solid, flat, hulls, hulls and of_one_type(hulls, NO_HULLS)[1])
 
     def clear(self) -> None:
         """Forget everybody."""

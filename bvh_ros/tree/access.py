@@ -37,7 +37,16 @@ from .nodes import (
 )
 from .open_tree import OpenTree
 from .plotting import BLOCKED_WAY, CORNERS, EDGES, FREE_WAY, PALETTE, SIDES
-from .query.nearest import PointQueries, are_dense, nearest, order_of
+from .query.exact import sign_of_four_products
+from .query.nearest import (
+    Near,
+    PointQueries,
+    are_dense,
+    nearest,
+    order_of,
+    pruning_limit,
+    visit_nearest,
+)
 from .query.overlap import overlap, overlap_swept
 from .query.ray import (
     CLOSEST,

@@ -144,7 +144,7 @@ def code_for(
     """
     solid, flat = shapes
     some = solid or flat
-    key = kernel, solid is None, flat is None, some is None or some[1] is None, variant
+    key = kernel, solid is None, flat is None, type(some and some[1]), variant
     code = _codes.get(key)
     if code is None:
         code = _codes[key] = entry_point(kernel, *given)

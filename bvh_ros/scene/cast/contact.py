@@ -13,8 +13,11 @@ import numpy as np
 
 from ...tree.access import DIRECTION, INSIDE, ORIGIN, intersect_exact
 from ...tree.compiler import lean_kernel
+from ..distance.gjk import dot
 from ..distance.narrow_phase import closest_on_mesh
 from ..shapes.footprint import FACE, ROUND
+from ..shapes.hull import form_of
+from ..shapes.mesh import CONVEX
 from ..shapes.shape import BOX, CAPSULE, CYLINDER, MESH, SPHERE, length, rotate, scale_of
 from .mesh import enter_mesh
 from .shapes import (
@@ -80,7 +83,7 @@ def enter_shape(shape, hulls, pair, radius, t_max, work):
         if s == np.inf and shape.shaped:
             s, feature = enter_form(shape, lo, hi, scale, ball, slack, reach, work)
     elif hulls is not None:  # last: compiled meanwhile in another process, see `compile_jobs`
-        s, feature = enter_mesh(hulls, shape, frame, ball, reach, work)
+        return enter_mesh(hulls, shape, frame, pair, ball, t_max, work)
     return time_of(s, frame.pace, t_max), feature
 
 
@@ -190,8 +193,11 @@ def face_normal(shape, hulls, lo, hi, feature, scale, work):
     if feature >= FACE:
         if hulls is not None:
             face = hulls.spans[shape.mesh].faces[0] + feature - FACE
+            along = dot(hulls.normals[face], direction)
+            # Of a convex mesh they point outwards already.
+            sign = -1.0 if along > 0.0 and form_of(hulls, shape) != CONVEX else 1.0
             for axis in range(3):
-                outward[axis] = hulls.normals[face, axis]
+                outward[axis] = sign * hulls.normals[face, axis]
     elif feature == ROUND:
         outward[0], outward[1] = centre[0], centre[1]
         if shape.kind != CYLINDER:

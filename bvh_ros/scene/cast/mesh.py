@@ -1,27 +1,23 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Rays and balls against one convex mesh in its own frame.
+"""Rays and balls against one mesh in its own frame.
 
-GJK computes the distance of a ball. A thin ray goes through the tree of the mesh's triangles. It
-is followed from before the mesh, so that where it enters is the first triangle that it
-crosses, whatever the winding. Where the origin lies beyond that, the same from behind decides
-whether it lies before the exit, that is inside.
+**A convex mesh** is followed from before it, so that where the ray enters is the first triangle
+that it crosses, whatever the winding. Where the origin lies beyond that, the same from behind
+decides whether it lies before the exit, that is inside. GJK computes the distance of a ball.
 
-**Nothing slips through an edge** (Woop, Benthin and Wald, "Watertight Ray/Triangle Intersection",
-2013): the ray is moved to the origin and sheared onto an axis. A corner comes out the same in all
-its triangles, and on which side of an edge the ray passes is the sign of a - b, two rounded
-products. Rounding keeps their order: the sign is right or zero, and of the two triangles at an
-edge one has -(a - b). A triangle counts with its edges, so a ray that crosses the surface between
-rounded corners crosses a triangle. Those corners are within a few ulp of the mesh's size of the
-true ones; the boxes in the tree are larger by more (`meshes.PAD`).
+**Any other mesh** is entered by the first triangle that the ray crosses from its origin on; or at
+once, if the mesh is solid and holds the origin. The ray is that of the caller in the frame of the
+mesh, with a direction of any length: where the mesh is not turned, and lies at the world's origin,
+nothing is rounded before the decision. A ball touches where it first touches a triangle.
 """
 
+import math
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from ...tree.access import (
-    ALL,
     DEEPEST,
     DIRECTION,
     INSIDE,
@@ -29,51 +25,24 @@ from ...tree.access import (
     ORIGIN,
     RAY_ROWS,
     Stack,
-    enter_box,
+    intersect_node,
     next_leaf,
     prepare_ray,
     push_root,
     set_ray,
     traversal_distance,
 )
-from ...tree.compiler import inlined, lean_kernel, stack_array
+from ...tree.compiler import chosen_by_types, inlined, lean_kernel, stack_array
 from ..distance.gjk import dot
 from ..distance.narrow_phase import hull_gap
 from ..shapes.footprint import FACE, ROUND
-from ..shapes.hull import hull_of
-from ..shapes.mesh import farthest_vertex
-from .shapes import approach_by
+from ..shapes.hull import are_any, form_of, hull_of, surface_of, triangle_hull
+from ..shapes.mesh import CONVEX, SOLID, farthest_vertex
+from ..shapes.shape import rotate
+from ..shapes.surface import first_crossing, holds_point
+from .shapes import approach_by, reach_of, time_of
 
 # ---- thin rays
-
-
-class Surface(NamedTuple):
-    """Triangles of a mesh and the tree over them; see `mesh_store`."""
-
-    vertices: Any
-    corners: Any
-    nodes: Any
-    root: Any
-    radius: Any
-
-
-class Line(NamedTuple):
-    """What `enter_box` reads."""
-
-    ray: Any
-    mask: Any
-    wide: Any
-
-
-class Shear(NamedTuple):
-    """How a direction is sheared onto one of its axes."""
-
-    x: Any
-    y: Any
-    z: Any
-    """Number of that axis; x and y are those of the others."""
-    by_x: Any
-    by_y: Any
 
 
 @lean_kernel
@@ -96,72 +65,15 @@ def enter_surface(surface, scale, origin, direction, reach):
         return np.inf, ROUND
     for axis in range(3):
         ray[ORIGIN, axis] = (origin[axis] + begin * ray[DIRECTION, axis]) / scale
-    s, face = first_crossing(surface, ray)
+    s, face = first_crossing(surface, ray, 4.0 * surface.radius)
     entry = begin + s * scale
     if entry > 0.0:
         return (entry if entry <= reach else np.inf), FACE + face
     for axis in range(3):
         ray[ORIGIN, axis] += 2.0 * surface.radius * ray[DIRECTION, axis]
         ray[DIRECTION, axis] = -ray[DIRECTION, axis]
-    s, face = first_crossing(surface, ray)
+    s, face = first_crossing(surface, ray, 4.0 * surface.radius)
     return (0.0 if end - s * scale >= 0.0 else np.inf), np.int64(INSIDE)
-
-
-@lean_kernel
-def first_crossing(surface, ray):
-    """(s, number) of the first triangle that a line crosses; (inf, NONE) if it crosses none."""
-    nodes, root = surface.nodes, surface.root
-    set_ray(ray, ray[ORIGIN], ray[DIRECTION])
-    best, crossed, frame = np.inf, np.int64(NONE), shear(ray[DIRECTION])
-    scale, wide = prepare_ray(ray, nodes[root].lo, nodes[root].hi)
-    line, limit = Line(ray, ALL, wide), traversal_distance(4.0 * surface.radius, scale)
-    stack = Stack(stack_array(DEEPEST, np.int64), stack_array(DEEPEST, np.float64))
-    top = push_root(nodes, root, line, limit, stack, enter_box)
-    while top > 0:
-        leaf, top = next_leaf(nodes, line, limit, stack, top, enter_box)
-        if leaf == NONE:
-            break
-        face = np.int64(leaf >> 1)
-        depth = cross_triangle(surface.vertices, surface.corners[face], ray[ORIGIN], frame)
-        s = depth / ray[DIRECTION, frame.z]
-        if s < best:
-            best, crossed = s, face
-            limit = traversal_distance(s, scale)
-    return best, crossed
-
-
-@inlined
-def shear(direction):
-    """How to shear a direction onto an axis."""
-    z = 0
-    for axis in range(1, 3):
-        if abs(direction[axis]) > abs(direction[z]):
-            z = axis
-    x, y = (z + 1) % 3, (z + 2) % 3
-    return Shear(x, y, z, direction[x] / direction[z], direction[y] / direction[z])
-
-
-@inlined
-def sheared(vertex, origin, frame):
-    """A corner as seen from the ray, which runs along the third axis."""
-    depth = vertex[frame.z] - origin[frame.z]
-    x = vertex[frame.x] - origin[frame.x] - frame.by_x * depth
-    y = vertex[frame.y] - origin[frame.y] - frame.by_y * depth
-    return x, y, depth
-
-
-@inlined
-def cross_triangle(vertices, corner, origin, frame):
-    """How deep along the third axis a line crosses a triangle; NaN if it does not, or runs in its
-    plane.
-    """
-    ax, ay, az = sheared(vertices[corner[0]], origin, frame)
-    bx, by, bz = sheared(vertices[corner[1]], origin, frame)
-    cx, cy, cz = sheared(vertices[corner[2]], origin, frame)
-    u, v, w = cx * by - cy * bx, ax * cy - ay * cx, bx * ay - by * ax
-    if min(u, v, w) < 0.0 < max(u, v, w):
-        return np.nan
-    return az + ((bz - az) * v + (cz - az) * w) / (u + v + w)
 
 
 # ---- rays and balls
@@ -187,19 +99,135 @@ approach_hull = approach_by(measure_hull)
 
 
 @lean_kernel
-def enter_mesh(hulls, shape, frame, radius, reach, work):
-    """(s, feature) at which a ray, or a ball swept along it, enters a shape's mesh."""
+def enter_convex(hulls, shape, frame, pair, radius, t_max, work):
+    """(t, feature) at which a ray, or a ball swept along it, enters a shape's convex mesh."""
+    reach = reach_of(t_max, frame.pace)
     if radius == 0.0:
-        span = hulls.spans[shape.mesh]
-        first, stop = span.faces[0], span.faces[1]
-        surface = Surface(
-            hulls.vertices[span.vertices[0] : span.vertices[1]],
-            hulls.corners[first:stop],
-            hulls.nodes[2 * first : 2 * stop],
-            span.root,
-            span.radius,
-        )
-        return enter_surface(surface, frame.scale, work[0], work[1], reach)
+        surface = surface_of(hulls, shape)
+        s, feature = enter_surface(surface, frame.scale, work[0], work[1], reach)
+        return time_of(s, frame.pace, t_max), feature
     solid = hull_of(hulls, shape), frame.scale
     s, _ = approach_hull(solid, radius, reach, frame.slack, work)
-    return s, np.int64(INSIDE if s == 0.0 else ROUND)
+    return time_of(s, frame.pace, t_max), np.int64(INSIDE if s == 0.0 else ROUND)
+
+
+# ---- meshes that are not convex
+
+
+@lean_kernel
+def enter_triangles(surface, is_solid, shape, pair, t_max):
+    """(t, feature) at which a thin ray enters any mesh, t up to t_max."""
+    given, ray = pair.ray, stack_array((RAY_ROWS, 3), np.float64)
+    largest = 0.0
+    for axis in range(3):
+        ray[ORIGIN, axis] = given[ORIGIN, axis] - shape.position[axis]
+        largest = max(largest, abs(given[DIRECTION, axis]))
+    exponent = -math.frexp(largest)[1]
+    for axis in range(3):
+        ray[DIRECTION, axis] = math.ldexp(given[DIRECTION, axis], exponent)
+    rotate(shape.orientation, ray[ORIGIN], -1.0)
+    rotate(shape.orientation, ray[DIRECTION], -1.0)
+    for axis in range(3):  # what is below all digits of the mesh would leave the exact sums
+        if abs(ray[ORIGIN, axis]) < MINUTE * surface.radius:
+            ray[ORIGIN, axis] = 0.0
+        if abs(ray[DIRECTION, axis]) < MINUTE:
+            ray[DIRECTION, axis] = 0.0
+    if is_solid and holds_point(surface, ray[ORIGIN]):
+        return 0.0, np.int64(INSIDE)
+    reach = math.ldexp(t_max, -exponent)
+    if largest == 0.0:
+        ray[DIRECTION, 0], reach = 1.0, 0.0
+    s, face = first_crossing(surface, ray, reach)
+    return (min(math.ldexp(s, exponent), t_max) if s < np.inf else np.inf), FACE + face
+
+
+MINUTE = 2.0**-200
+
+
+class BallNodes(NamedTuple):
+    """What `enter_ball` reads."""
+
+    ray: Any
+    wide: Any
+    radius: Any
+    """By how much nodes are grown."""
+    box: Any
+    """Scratch, (2, 3)."""
+
+
+@inlined
+def enter_ball(nodes, node, path, limit):
+    """Where the centre of a ball may enter a node grown by its radius."""
+    for axis in range(3):
+        path.box[0, axis] = nodes[node].lo[axis] - path.radius
+        path.box[1, axis] = nodes[node].hi[axis] + path.radius
+    return intersect_node(path.box[0], path.box[1], path.ray, limit, path.wide)
+
+
+@lean_kernel
+def approach_triangles(hulls, surface, is_solid, frame, radius, reach, work):
+    """How far a ball goes until it touches any mesh, inf if it does not."""
+    ray, box = stack_array((RAY_ROWS, 3), np.float64), stack_array((2, 3), np.float64)
+    room, places = stack_array((5, 3), np.float64), stack_array((3, 3), np.float64)
+    nodes, root, size = surface.nodes, surface.root, 0.0
+    for axis in range(3):
+        ray[ORIGIN, axis] = work[0, axis] / frame.scale
+        ray[DIRECTION, axis] = work[1, axis]
+        size = max(size, abs(ray[ORIGIN, axis]))
+    if is_solid and holds_point(surface, ray[ORIGIN]):
+        return 0.0
+    set_ray(ray, ray[ORIGIN], ray[DIRECTION])
+    grown = (radius + frame.slack) / frame.scale * (1.0 + GROWN) + GROWN * (size + surface.radius)
+    for axis in range(3):
+        box[0, axis] = nodes[root].lo[axis] - grown
+        box[1, axis] = nodes[root].hi[axis] + grown
+    scale, wide = prepare_ray(ray, box[0], box[1])
+    path, best = BallNodes(ray, wide, grown, box), np.inf
+    limit = traversal_distance(reach / frame.scale, scale)
+    stack = Stack(stack_array(DEEPEST, np.int64), stack_array(DEEPEST, np.float64))
+    top = push_root(nodes, root, path, limit, stack, enter_ball)
+    while top > 0:
+        leaf, top = next_leaf(nodes, path, limit, stack, top, enter_ball)
+        if leaf == NONE:
+            break
+        hull = triangle_hull(hulls, surface, np.int64(leaf >> 1), places)
+        for row in range(2):
+            for axis in range(3):
+                room[row, axis] = work[row, axis]
+        until = min(best, reach)
+        s, _ = approach_hull((hull, frame.scale), radius, until, frame.slack, room)
+        if s < best:
+            best = s
+            limit = traversal_distance(s / frame.scale, scale)
+    return best
+
+
+GROWN = 2.0**-46  # of the lengths in play: more than what rounds a place
+
+
+@lean_kernel
+def enter_any(hulls, shape, frame, pair, radius, t_max, work):
+    """`enter_convex` of any mesh."""
+    form = form_of(hulls, shape)
+    if form == CONVEX:
+        return enter_convex(hulls, shape, frame, pair, radius, t_max, work)
+    surface = surface_of(hulls, shape)
+    if radius == 0.0:
+        return enter_triangles(surface, form == SOLID, shape, pair, t_max)
+    reach = reach_of(t_max, frame.pace)
+    s = approach_triangles(hulls, surface, form == SOLID, frame, radius, reach, work)
+    return time_of(s, frame.pace, t_max), np.int64(INSIDE if s == 0.0 else ROUND)
+
+
+@chosen_by_types
+def enter_mesh(hulls, shape, frame, pair, radius, t_max, work):
+    """(t, feature) at which a ray, or a ball swept along it, enters a shape's mesh."""
+    return _of_any if are_any(hulls) else _of_convex
+
+
+def _of_any(hulls, shape, frame, pair, radius, t_max, work):
+    return enter_any(hulls, shape, frame, pair, radius, t_max, work)
+
+
+def _of_convex(hulls, shape, frame, pair, radius, t_max, work):
+    return enter_convex(hulls, shape, frame, pair, radius, t_max, work)

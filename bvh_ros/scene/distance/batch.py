@@ -33,7 +33,7 @@ from ...tree.access import COUNT as COUNTED
 from ...tree.compiler import entry_point, inlined, lean_kernel, stack_array
 from ..names import Slots
 from ..results import NO_NODE, BoxHits, require_few
-from ..shapes.hull import NO_HULLS, Hulls
+from ..shapes.hull import NO_HULLS, Hulls, of_one_type
 from ..shapes.shape import FINE, Floats, along_axes
 from ..store import Bodies, Columns, ScratchPool
 from . import narrow_phase
@@ -277,7 +277,8 @@ def bodies_of(columns: Columns, hulls: Hulls | None) -> Bodies:
     """What the narrow phase reads of a scene, and of the meshes of queries."""
     if hulls is None:
         return columns.bodies
-    return columns.bodies._replace(hulls=columns.hulls or NO_HULLS, query_hulls=hulls)
+    mine, theirs = of_one_type(columns.hulls or NO_HULLS, hulls)
+    return columns.bodies._replace(hulls=mine, query_hulls=theirs)
 
 
 class RowKernel:
@@ -287,14 +288,14 @@ class RowKernel:
 
     def __init__(self, kernel: Any) -> None:
         self._kernel = kernel
-        self._codes: dict[bool | None, Any] = {}
+        self._codes: dict[type | None, Any] = {}
 
     def call(self, given: tuple[Any, ...]) -> Any:
         """Call it with (view, bodies or None, ...); RuntimeError if the tree is changed
         meanwhile.
         """
         bodies = given[1]
-        variant = None if bodies is None else bodies[2] is not None
+        variant = None if bodies is None else type(bodies[2])
         code = self._codes.get(variant)
         if code is None:
             code = self._codes[variant] = entry_point(self._kernel, *given)
@@ -327,7 +328,7 @@ class Overlaps:
         self._tree = tree
         self._columns = columns
         self.spare = ScratchPool(Scratch)
-        self._entries: dict[bool | None, Any] = {}
+        self._entries: dict[type | None, Any] = {}
         self._rows = RowKernel(overlap_rows).call
 
     def find(
@@ -475,7 +476,7 @@ class Overlaps:
         """Call the kernel until there is room for what it finds; how many there are, and how many
         of them are doubtful.
         """
-        columns, variant = self._columns, None if bodies is None else bodies.hulls is not None
+        columns, variant = self._columns, None if bodies is None else type(bodies.hulls)
         while True:
             found = scratch.found
             options = bodies, query, mask, False
@@ -581,7 +582,7 @@ class Nearness:
         self._tree = tree
         self._columns = columns
         self.spare = ScratchPool(Scratch)
-        self._entries: dict[tuple[bool | None, Signed], Any] = {}
+        self._entries: dict[tuple[type | None, Signed], Any] = {}
         self._rows = {None: RowKernel(nearest_rows).call, True: RowKernel(nearest_rows).call}
 
     def find(
@@ -621,7 +622,7 @@ class Nearness:
     ) -> int:
         columns = self._columns
         bodies = bodies_of(columns, columns.hulls) if columns.shaped else None
-        variant = None if bodies is None else bodies.hulls is not None
+        variant = None if bodies is None else type(bodies.hulls)
         given = self._tree.view().tree, bodies, point, options, signed, columns.node_handle, found
         entry = self._entries.get((variant, signed))
         if entry is None:

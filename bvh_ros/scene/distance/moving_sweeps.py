@@ -88,7 +88,7 @@ class TimedShapeSweeper(ShapeSweeper):
 
     def __init__(self, store: Obstacles) -> None:
         super().__init__(store)
-        self._entries: dict[bool, Any] = {}
+        self._entries: dict[type, Any] = {}
 
     def call(self, given: tuple[Any, ...], *times: Floats) -> tuple[int, int]:
         """(rows done, room wanted) of the kernel; times = (when the sweeps start, s, and how many
@@ -98,12 +98,12 @@ class TimedShapeSweeper(ShapeSweeper):
         tree: Any = store.tree
         ends = movers(store)[1:] if store.uncertainty else (0.0, 0.0)
         known = QueryTimes(given[0], store.columns.node_handle, at, store.uncertainty, *ends)
-        has_meshes = given[0].hulls is not None
-        entry = self._entries.get(has_meshes)
+        form = type(given[0].hulls)
+        entry = self._entries.get(form)
         if entry is None:
             moving = tree.motion.moving
             entry = entry_point(sweep_rows_at, tree.view().tree, moving, known, pace, *given)
-            self._entries[has_meshes] = entry
+            self._entries[form] = entry
 
         def call(arrays: Tree, moving: Any) -> Any:
             return entry(arrays, moving, known, pace, *given)

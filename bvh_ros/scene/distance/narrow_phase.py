@@ -3,13 +3,17 @@
 """Two shapes: whether they touch, how far they are apart, and their closest points."""
 
 import math
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from ...tree.compiler import inlined, lean_kernel, stack_array
+from ...tree.access import ALL, NONE, Near, pruning_limit, visit_nearest
+from ...tree.compiler import chosen_by_types, inlined, lean_kernel, stack_array
 from ..shapes.footprint import closest_on_footprint
-from ..shapes.hull import hull_of, hull_of_point
+from ..shapes.hull import are_any, form_of, hull_of, hull_of_point, surface_of, triangle_hull
+from ..shapes.mesh import CONVEX, SOLID
 from ..shapes.shape import BOX, CAPSULE, CYLINDER, MESH, SPHERE, fill_rotation, rotate, scale_of
+from ..shapes.surface import closest_on_surface, gap_square, holds_point
 from .certified import certified_bounds, set_normal
 from .gjk import (
     AXES,
@@ -66,12 +70,48 @@ def closest_on_hull(hull, point, out):
 
 
 @lean_kernel
+def closest_in_convex(hulls, shape, point, out):
+    """`closest_on_hull` of a shape's mesh."""
+    return closest_on_hull(hull_of(hulls, shape), point, out)
+
+
+@lean_kernel
+def closest_in_any(hulls, shape, point, out):
+    """The same of any mesh."""
+    form = form_of(hulls, shape)
+    if form == CONVEX:
+        return closest_in_convex(hulls, shape, point, out)
+    surface = surface_of(hulls, shape)
+    if form == SOLID and holds_point(surface, point):
+        for axis in range(3):
+            out[axis] = point[axis]
+        return 0.0
+    return closest_on_surface(surface, point, out)
+
+
+@chosen_by_types
+def closest_in_mesh(hulls, shape, point, out):
+    """Fill `out` with the closest point of a shape's mesh, `point` itself inside; return the
+    distance.
+    """
+    return _closest_in_any if are_any(hulls) else _closest_in_convex
+
+
+def _closest_in_any(hulls, shape, point, out):
+    return closest_in_any(hulls, shape, point, out)
+
+
+def _closest_in_convex(hulls, shape, point, out):
+    return closest_in_convex(hulls, shape, point, out)
+
+
+@lean_kernel
 def closest_on_mesh(hulls, shape, scale, point, out):
-    """`closest_on_hull` of a shape's mesh times scale."""
+    """`closest_in_mesh` of a mesh times scale."""
     place = stack_array(3, np.float64)
     for axis in range(3):
         place[axis] = point[axis] / scale
-    closest_on_hull(hull_of(hulls, shape), place, out)
+    closest_in_mesh(hulls, shape, place, out)
     for axis in range(3):
         out[axis] *= scale
 
@@ -133,7 +173,7 @@ def closest_in_frame(shape, hulls, local, closest):
         return
     if shape.kind == MESH:
         if hulls is not None:
-            closest_on_hull(hull_of(hulls, shape), local, closest)
+            closest_in_mesh(hulls, shape, local, closest)
         return
     if shape.kind == CYLINDER:
         shrink = half[0] / max(length(local[:2]), half[0])
@@ -305,7 +345,7 @@ def fill_core(shape, origin, exponent, planar, core):
 
 
 @lean_kernel
-def fill_cores(one, hulls, other, other_hulls, planar, rows):
+def fill_cores(one, hull, other, other_hull, planar, rows):
     """The cores of two shapes, seen from the place of the first and times 2**-exponent, by which
     the largest length in play is about 1: (cores, radii, exponent). `rows` is where they are put.
     """
@@ -314,23 +354,27 @@ def fill_cores(one, hulls, other, other_hulls, planar, rows):
     exponent = math.frexp(largest)[1]
     round_one, radius = fill_core(one, origin, exponent, planar, rows[0])
     round_other, other_radius = fill_core(other, origin, exponent, planar, rows[1])
-    hull, other_hull = hull_of(hulls, one), hull_of(other_hulls, other)
     cores = Core(rows[0], round_one, hull), Core(rows[1], round_other, other_hull)
     return cores, (radius, other_radius), exponent
 
 
 @lean_kernel
-def near(one, hulls, other, other_hulls, tolerance, planar):
-    """Whether two shapes (records of `columns.GEOMETRY`) are within `tolerance` of each other; and
-    whether that took more digits.
-    """
-    if ordered(one, other):
-        return ordered_near(one, hulls, other, other_hulls, tolerance, planar)
-    return ordered_near(other, other_hulls, one, hulls, tolerance, planar)
+def near_convex(one, hulls, other, other_hulls, tolerance, planar):
+    """`near` of two convex shapes."""
+    hull, other_hull = hull_of(hulls, one), hull_of(other_hulls, other)
+    return near_hulls(one, hull, other, other_hull, tolerance, planar)
 
 
 @lean_kernel
-def ordered_near(one, hulls, other, other_hulls, tolerance, planar):
+def near_hulls(one, hull, other, other_hull, tolerance, planar):
+    """The same, with the vertices of their meshes."""
+    if ordered(one, other):
+        return ordered_near(one, hull, other, other_hull, tolerance, planar)
+    return ordered_near(other, other_hull, one, hull, tolerance, planar)
+
+
+@lean_kernel
+def ordered_near(one, hull, other, other_hull, tolerance, planar):
     first = stack_array((CORE_ROWS, 3), np.float64)
     second = stack_array((CORE_ROWS, 3), np.float64)
     # As `fill_cores`, but what many boxes need not comes after them: 5 % of a turned overlap.
@@ -348,47 +392,40 @@ def ordered_near(one, hulls, other, other_hulls, tolerance, planar):
         if gap == 0.0 and sure:
             return True, False
     direction = stack_array(DIRECTION_ROOM, np.float64)
-    hull, other_hull = hull_of(hulls, one), hull_of(other_hulls, other)
     limit = reach + SLACK
     cores = Core(first, round_one, hull), Core(second, round_other, other_hull)
     low, _, more_digits = certified_bounds(cores[0], cores[1], limit, False, direction)
     return low <= limit, more_digits
 
 
-@lean_kernel
-def near_pairs(records, hulls, pairs, planar, found):
-    """Fill in which pairs (m, 2) of shapes touch; return how many took more digits."""
-    count = 0
-    for i in range(pairs.shape[0]):
-        one, other = records[pairs[i, 0]], records[pairs[i, 1]]
-        found[i], more = near(one, hulls, other, hulls, 0.0, planar)
-        count += more
-    return count
-
-
 # ---- How far two shapes are apart, and which of their points are closest.
 
 
 @lean_kernel
-def gap(one, hulls, other, other_hulls, planar, points):
-    """Distance of two shapes, 0 if they touch; fill in the closest points, or twice a common
-    one. It is the same from either side.
-    """
+def gap_convex(one, hulls, other, other_hulls, planar, points):
+    """`gap` of two convex shapes."""
+    hull, other_hull = hull_of(hulls, one), hull_of(other_hulls, other)
+    return gap_hulls(one, hull, other, other_hull, planar, points)
+
+
+@lean_kernel
+def gap_hulls(one, hull, other, other_hull, planar, points):
+    """The same, with the vertices of their meshes."""
     if ordered(one, other):
-        return ordered_gap(one, hulls, other, other_hulls, planar, points)
-    distance = ordered_gap(other, other_hulls, one, hulls, planar, points)
+        return ordered_gap(one, hull, other, other_hull, planar, points)
+    distance = ordered_gap(other, other_hull, one, hull, planar, points)
     for axis in range(3):
         points[0, axis], points[1, axis] = points[1, axis], points[0, axis]
     return distance
 
 
 @lean_kernel
-def ordered_gap(one, hulls, other, other_hulls, planar, points):
+def ordered_gap(one, hull, other, other_hull, planar, points):
     first = stack_array((CORE_ROWS, 3), np.float64)
     second = stack_array((CORE_ROWS, 3), np.float64)
     direction = stack_array(DIRECTION_ROOM, np.float64)
     cores, (radius, other_radius), exponent = fill_cores(
-        *(one, hulls, other, other_hulls), planar, (first, second)
+        *(one, hull, other, other_hull), planar, (first, second)
     )
     limit = radius + other_radius + SLACK
     low, high, _ = certified_bounds(cores[0], cores[1], limit, True, direction)
@@ -440,3 +477,299 @@ def box_gap(one, other, ndim, points):
             else:
                 points[row, axis] = corners[2 * row + 1, axis]
     return length(gaps)
+
+
+# ---- Meshes that are not convex: triangle by triangle.
+#
+# Such a mesh touches what one of its triangles touches, and is as near as the nearest of them.
+# Each is a convex mesh of three corners, so each comparison has its certificate. The tree of the
+# mesh leaves out the triangles whose boxes are too far from the box of the other shape, both in
+# the frame of the mesh. Of two such meshes each triangle of one is compared with those of the
+# other.
+#
+# A solid that no surface comes near may still be inside another one. Then all of it is, part by
+# part, so one corner of each part tells.
+
+FRAMES = 2.0**-46  # of the lengths in play: more than what rounds a place from frame to frame
+
+
+class Pair(NamedTuple):
+    """Two shapes, the first of which has a mesh that is not convex."""
+
+    one: Any
+    hulls: Any
+    other: Any
+    other_hulls: Any
+    planar: Any
+    tolerance: Any
+    points: Any
+    """(2, 3): where the closest points are put."""
+    face: Any
+    """The triangle of the other mesh that is looked at; NONE for all of the other shape."""
+
+
+@lean_kernel
+def to_frame(shape, planar, place):
+    """Bring a place into the frame of a shape; one of a planar scene is turned already."""
+    for axis in range(3):
+        place[axis] -= shape.position[axis]
+    if not planar:
+        rotate(shape.orientation, place, -1.0)
+
+
+@lean_kernel
+def from_frame(shape, planar, place):
+    """Bring a place back."""
+    if not planar:
+        rotate(shape.orientation, place, 1.0)
+    for axis in range(3):
+        place[axis] += shape.position[axis]
+
+
+@lean_kernel
+def fill_own_box(shape, hulls, face, box):
+    """Fill in the box (2, 3) around a shape, or a triangle of its mesh, in its own frame."""
+    for axis in range(3):
+        box[0, axis], box[1, axis] = -shape.half[axis], shape.half[axis]
+    if shape.kind == MESH:
+        surface = surface_of(hulls, shape)
+        node = surface.root if face == NONE else 2 * face
+        for axis in range(3):
+            box[0, axis], box[1, axis] = surface.nodes[node].lo[axis], surface.nodes[node].hi[axis]
+
+
+@lean_kernel
+def fill_box_in_frame(pair, box):
+    """Fill in the box (2, 3) around the other shape, or its triangle, in the first one's frame."""
+    own, corner = stack_array((2, 3), np.float64), stack_array(3, np.float64)
+    fill_own_box(pair.other, pair.other_hulls, pair.face, own)
+    size = 0.0
+    for axis in range(3):
+        box[0, axis], box[1, axis] = np.inf, -np.inf
+    for number in range(8):
+        for axis in range(3):
+            corner[axis] = own[number >> axis & 1, axis]
+            size = max(size, abs(corner[axis]), abs(pair.other.position[axis]))
+            size = max(size, abs(pair.one.position[axis]))
+        from_frame(pair.other, pair.planar, corner)
+        to_frame(pair.one, pair.planar, corner)
+        for axis in range(3):
+            box[0, axis] = min(box[0, axis], corner[axis])
+            box[1, axis] = max(box[1, axis], corner[axis])
+    for axis in range(3):
+        box[0, axis] -= FRAMES * size
+        box[1, axis] += FRAMES * size
+
+
+@inlined
+def compare_triangle(pair, face, places, other_places, touches, best):
+    """Compare a triangle of the first mesh with the other convex shape, or its triangle:
+    `touches`, None or True, says whether only contact counts. Returns what best[0] is to become.
+    """
+    surface = surface_of(pair.hulls, pair.one)
+    hull = triangle_hull(pair.hulls, surface, face, places)
+    if pair.face == NONE:
+        other_hull = hull_of(pair.other_hulls, pair.other)
+    else:
+        other_surface = surface_of(pair.other_hulls, pair.other)
+        other_hull = triangle_hull(pair.other_hulls, other_surface, pair.face, other_places)
+    if touches is not None:
+        is_near, _ = near_hulls(
+            pair.one, hull, pair.other, other_hull, pair.tolerance, pair.planar
+        )
+        return 0.0 if is_near else np.inf
+    points = stack_array((2, 3), np.float64)
+    distance = gap_hulls(pair.one, hull, pair.other, other_hull, pair.planar, points)
+    if distance < best[0]:
+        for row in range(2):
+            for axis in range(3):
+                pair.points[row, axis] = points[row, axis]
+    return distance
+
+
+class Compared(NamedTuple):
+    """What `visit_nearest` hands on."""
+
+    pair: Any
+    touches: Any
+    places: Any
+    other_places: Any
+
+
+@inlined
+def _look_at_triangle(compared, query, leaf, square, best, count, limit):
+    (pair, touches, places, other_places), face = compared, np.int64(leaf >> 1)
+    distance = compare_triangle(pair, face, places, other_places, touches, best)
+    if distance < best[0]:
+        best[0] = distance
+        limit = -1.0 if distance == 0.0 else pruning_limit(distance)
+    return np.int64(1), limit
+
+
+@lean_kernel
+def visit_triangles(pair, touches, best):
+    """Lower best[0] to the distance of the nearest triangle of the first mesh, or to 0 if one is
+    within the tolerance.
+    """
+    places, box = stack_array((3, 3), np.float64), stack_array((2, 3), np.float64)
+    other_places = stack_array((3, 3), np.float64)
+    fill_box_in_frame(pair, box)
+    surface = surface_of(pair.hulls, pair.one)
+    limit = best[0] if touches is None else pair.tolerance
+    query = Near(box[0], box[1], 1, limit, ALL)
+    compared = Compared(pair, touches, places, other_places)
+    visit_nearest(
+        *(compared, surface.nodes, surface.root, query, best),
+        *(pruning_limit(limit), gap_square, _look_at_triangle),
+    )
+
+
+@inlined
+def _look_at_other(compared, query, leaf, square, best, count, limit):
+    pair, touches, _, _ = compared
+    one, hulls, other, other_hulls, planar, tolerance, points, _ = pair
+    face = np.int64(leaf >> 1)
+    single = Pair(other, other_hulls, one, hulls, planar, tolerance, points, face)
+    before = best[0]
+    visit_triangles(single, touches, best)
+    if best[0] < before:
+        limit = -1.0 if best[0] == 0.0 else pruning_limit(best[0])
+        if touches is None:
+            for axis in range(3):
+                swap = points[0, axis]
+                points[0, axis], points[1, axis] = points[1, axis], swap
+    return np.int64(1), limit
+
+
+@lean_kernel
+def visit_both(pair, touches, best):
+    """`visit_triangles` where the other mesh is not convex, either."""
+    places, box = stack_array((3, 3), np.float64), stack_array((2, 3), np.float64)
+    fill_box_in_frame(pair, box)
+    surface = surface_of(pair.hulls, pair.one)
+    limit = best[0] if touches is None else pair.tolerance
+    query = Near(box[0], box[1], 1, limit, ALL)
+    compared = Compared(pair, touches, places, places)
+    visit_nearest(
+        *(compared, surface.nodes, surface.root, query, best),
+        *(pruning_limit(limit), gap_square, _look_at_other),
+    )
+
+
+@lean_kernel
+def holds_part(one, hulls, other, other_hulls, place):
+    """Whether a solid holds a corner of a part of the other shape, or its centre; fill in where
+    that is.
+    """
+    if form_of(hulls, one) != SOLID:
+        return False
+    surface, local = surface_of(hulls, one), stack_array(3, np.float64)
+    first, stop = 0, 1
+    if other.kind == MESH:
+        span = other_hulls.spans[other.mesh]
+        first, stop = span.seeds[0], span.seeds[1]
+    for row in range(first, stop):
+        for axis in range(3):
+            place[axis] = other_hulls.seeds[row, axis] if other.kind == MESH else 0.0
+        from_frame(other, False, place)
+        for axis in range(3):
+            local[axis] = place[axis]
+        to_frame(one, False, local)
+        if holds_point(surface, local):
+            return True
+    return False
+
+
+@lean_kernel
+def compare(one, hulls, other, other_hulls, tolerance, planar, touches, points):
+    """Distance of two shapes, of which one or both have meshes that are not convex; with `touches`
+    0 or inf, as they are within the tolerance or not.
+    """
+    best, place = stack_array(1, np.float64), stack_array(3, np.float64)
+    best[0], none = np.inf, np.int64(NONE)
+    mine, theirs = form_of(hulls, one), form_of(other_hulls, other)
+    if theirs == CONVEX:
+        pair = Pair(one, hulls, other, other_hulls, planar, tolerance, points, none)
+        visit_triangles(pair, touches, best)
+    elif mine == CONVEX:
+        pair = Pair(other, other_hulls, one, hulls, planar, tolerance, points, none)
+        visit_triangles(pair, touches, best)
+        if touches is None:
+            for axis in range(3):
+                swap = points[0, axis]
+                points[0, axis], points[1, axis] = points[1, axis], swap
+    else:
+        pair = Pair(one, hulls, other, other_hulls, planar, tolerance, points, none)
+        visit_both(pair, touches, best)
+    if best[0] > 0.0 and not planar:
+        held = holds_part(one, hulls, other, other_hulls, place)
+        if held or holds_part(other, other_hulls, one, hulls, place):
+            best[0] = 0.0
+            if touches is None:
+                for axis in range(3):
+                    points[0, axis] = points[1, axis] = place[axis]
+    return best[0]
+
+
+@lean_kernel
+def near_any(one, hulls, other, other_hulls, tolerance, planar):
+    """`near` of shapes that may have meshes of any form."""
+    if form_of(hulls, one) == CONVEX and form_of(other_hulls, other) == CONVEX:
+        return near_convex(one, hulls, other, other_hulls, tolerance, planar)
+    points = stack_array((2, 3), np.float64)
+    found = compare(one, hulls, other, other_hulls, tolerance, planar, True, points)
+    return found == 0.0, False
+
+
+@lean_kernel
+def gap_any(one, hulls, other, other_hulls, planar, points):
+    """`gap` of shapes that may have meshes of any form."""
+    if form_of(hulls, one) == CONVEX and form_of(other_hulls, other) == CONVEX:
+        return gap_convex(one, hulls, other, other_hulls, planar, points)
+    return compare(one, hulls, other, other_hulls, 0.0, planar, None, points)
+
+
+# ---- Any two shapes.
+
+
+@chosen_by_types
+def near(one, hulls, other, other_hulls, tolerance, planar):
+    """Whether two shapes (records of `columns.GEOMETRY`) are within `tolerance` of each other; and
+    whether that took more digits.
+    """
+    return _near_any if are_any(hulls) else _near_convex
+
+
+def _near_any(one, hulls, other, other_hulls, tolerance, planar):
+    return near_any(one, hulls, other, other_hulls, tolerance, planar)
+
+
+def _near_convex(one, hulls, other, other_hulls, tolerance, planar):
+    return near_convex(one, hulls, other, other_hulls, tolerance, planar)
+
+
+@chosen_by_types
+def gap(one, hulls, other, other_hulls, planar, points):
+    """Distance of two shapes, 0 if they touch; fill in the closest points, or twice a common
+    one. It is the same from either side.
+    """
+    return _gap_any if are_any(hulls) else _gap_convex
+
+
+def _gap_any(one, hulls, other, other_hulls, planar, points):
+    return gap_any(one, hulls, other, other_hulls, planar, points)
+
+
+def _gap_convex(one, hulls, other, other_hulls, planar, points):
+    return gap_convex(one, hulls, other, other_hulls, planar, points)
+
+
+@lean_kernel
+def near_pairs(records, hulls, pairs, planar, found):
+    """Fill in which pairs (m, 2) of shapes touch; return how many took more digits."""
+    count = 0
+    for i in range(pairs.shape[0]):
+        one, other = records[pairs[i, 0]], records[pairs[i, 1]]
+        found[i], more = near(one, hulls, other, hulls, 0.0, planar)
+        count += more
+    return count

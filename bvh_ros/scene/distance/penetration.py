@@ -375,7 +375,8 @@ def penetration(one, hulls, other, other_hulls, planar, points, normal):
 def ordered_penetration(one, hulls, other, other_hulls, planar, points, normal):
     first = stack_array((CORE_ROWS, 3), np.float64)
     second = stack_array((CORE_ROWS, 3), np.float64)
-    cores, radii, exponent = fill_cores(*(one, hulls, other, other_hulls), planar, (first, second))
+    hull, other_hull = hull_of(hulls, one), hull_of(other_hulls, other)
+    cores, radii, exponent = fill_cores(*(one, hull, other, other_hull), planar, (first, second))
     depth = core_depth(cores, radii, planar, points, normal)
     return scaled_back(depth, exponent, one.position, points)
 

@@ -198,7 +198,7 @@ class OneTimed:
     ) -> Any:
         """Call a kernel; `kind` stands, with it, for the types of what it is given."""
         tree: Any = self._store.tree
-        variant, motion = (kernel, kind, then[0].hulls is not None), tree._motion
+        variant, motion = (kernel, kind, type(then[0].hulls)), tree._motion
         if motion is None:
             raise RuntimeError('no obstacle of this scene has a velocity')
         entry = self._entries.get(variant)

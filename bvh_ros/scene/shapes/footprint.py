@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ...tree.access import node_dtype
 from ...tree.compiler import inlined, lean_kernel, stack_array
-from .mesh import LANES, NUMBERS, Mesh, convex_polygon, digest
+from .mesh import CONVEX, LANES, NUMBERS, Mesh, convex_polygon, digest
 from .shape import FINE, MESH, Canonical, Floats, ShapeKind, Shapes, rotations
 
 # ---- Convex polygons: meshes seen from above, for planar scenes.
@@ -28,6 +28,7 @@ class Polygon:
     normals: ClassVar[Floats] = np.empty((0, 3))
     tree: ClassVar[tuple[NDArray[Any], int]] = (np.empty(0, node_dtype(3)), 0)
     radius: ClassVar[float] = 0.0
+    form: ClassVar[int] = CONVEX
 
     def __init__(self, mesh: Mesh, orientation: Floats) -> None:
         self.mesh = mesh

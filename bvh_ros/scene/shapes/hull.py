@@ -9,10 +9,11 @@ from numba import types
 from numpy.typing import NDArray
 
 from ...tree.access import node_dtype
-from ...tree.compiler import chosen_by_types
+from ...tree.compiler import chosen_by_types, lean_kernel
 from .footprint import Polygon
-from .mesh import LANES, NUMBERS, Floats, Mesh
+from .mesh import CONVEX, LANES, NUMBERS, Floats, Mesh
 from .shape import MESH
+from .surface import Surface
 
 # ---- The meshes of a scene, or the polygons that a planar scene sees of them, and their arrays.
 
@@ -22,8 +23,10 @@ HULL = np.dtype(
         ('vertices', np.int64, (2,)),
         ('discs', np.int64, (2,)),
         ('faces', np.int64, (2,)),
+        ('seeds', np.int64, (2,)),
         ('root', np.int64),
         ('radius', np.float64),
+        ('form', np.int64),  # CONVEX, SOLID or SHELL
     ],
     align=True,
 )
@@ -45,6 +48,14 @@ class Hulls(NamedTuple):
     normals: Floats
     nodes: NDArray[Any]
     """Of the meshes' trees, two a triangle."""
+    seeds: Floats
+    """A corner of each part of each mesh."""
+
+
+class AnyHulls(Hulls):
+    """The same if one is not convex. Of the type it depends what is compiled."""
+
+    __slots__ = ()
 
 
 class _Rows:
@@ -78,7 +89,9 @@ class _Joined:
             *(_Rows(np.empty((0, 3))), _Rows(np.empty((0, NUMBERS, LANES)))),
             *(_Rows(np.empty((0, 3), np.int32)), _Rows(np.empty((0, 3)))),
             _Rows(np.empty(0, node_dtype(3))),
+            _Rows(np.empty((0, 3))),
         ]
+        self._all_convex = True
 
     def add(self, number: int, mesh: Mesh | Polygon) -> None:
         if number >= len(self._spans):
@@ -93,15 +106,19 @@ class _Joined:
             mesh.corners,
             mesh.normals,
             nodes,
+            mesh.vertices[:1] if mesh.form == CONVEX else mesh.seeds,
         )
         places = [column.append(rows) for column, rows in zip(self._columns, given, strict=True)]
-        self._spans['root'][number], self._spans['radius'][number] = root, mesh.radius
-        for name, place in zip(('vertices', 'discs', 'faces'), places, strict=False):
-            self._spans[name][number] = place
+        span = self._spans[number]
+        span['root'], span['radius'], span['form'] = root, mesh.radius, mesh.form
+        span['vertices'], span['discs'], span['faces'] = places[:3]
+        span['seeds'] = places[-1]
+        self._all_convex = self._all_convex and mesh.form == CONVEX
 
     def hulls(self) -> Hulls:
         if self._hulls is None:
-            self._hulls = Hulls(self._spans, *(column.rows for column in self._columns))
+            form = Hulls if self._all_convex else AnyHulls
+            self._hulls = form(self._spans, *(column.rows for column in self._columns))
         return self._hulls
 
     @property
@@ -111,6 +128,13 @@ class _Joined:
 
 
 NO_HULLS = _Joined().hulls()
+
+
+def of_one_type(hulls: Hulls, others: Hulls) -> tuple[Hulls, Hulls]:
+    """Two of them, both for meshes of any form if one is."""
+    if type(hulls) is type(others):
+        return hulls, others
+    return AnyHulls(*hulls), AnyHulls(*others)
 
 
 class MeshStore:
@@ -166,7 +190,42 @@ class MeshStore:
         return sum(array.nbytes for array in self.hulls) if len(self) else 0
 
 
-# ---- The vertices of a convex mesh, as kernels read them.
+# ---- A mesh as kernels read it: its form and triangles, or its vertices for GJK.
+
+
+def are_any(hulls: Any) -> bool:
+    """Whether meshes, given by their numba type, may be of any form."""
+    return getattr(hulls, 'instance_class', None) is AnyHulls
+
+
+@lean_kernel
+def form_of(hulls, shape):
+    """The form of a shape, that of its mesh if it has one."""
+    return hulls.spans[shape.mesh].form if shape.kind == MESH else CONVEX
+
+
+@lean_kernel
+def surface_of(hulls, shape):
+    """The triangles of a shape's mesh."""
+    span = hulls.spans[shape.mesh]
+    first, stop = span.faces[0], span.faces[1]
+    return Surface(
+        hulls.vertices[span.vertices[0] : span.vertices[1]],
+        hulls.corners[first:stop],
+        hulls.nodes[2 * first : 2 * stop],
+        span.root,
+        span.radius,
+    )
+
+
+@lean_kernel
+def triangle_hull(hulls, surface, face, places):
+    """A triangle of a surface as a convex mesh; its corners are copied to `places` (3, 3)."""
+    for number in range(3):
+        corner = surface.vertices[surface.corners[face, number]]
+        for axis in range(3):
+            places[number, axis] = corner[axis]
+    return Hull(places, hulls.discs[:0], surface.radius)
 
 
 class Hull(NamedTuple):

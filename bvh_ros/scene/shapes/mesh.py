@@ -1,9 +1,10 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Convex meshes: solids within closed surfaces of triangles."""
+"""Meshes: whether triangles are convex or closed, and what kernels need of them."""
 
 import hashlib
 import math
+from fractions import Fraction
 from functools import cached_property
 from typing import Any, NamedTuple
 from weakref import WeakValueDictionary
@@ -203,16 +204,17 @@ SMALLEST, LARGEST = 1e-100, 1e100  # beyond, products of three lengths leave the
 
 
 class Surface(NamedTuple):
-    """A closed convex surface."""
+    """The triangles of a mesh."""
 
     vertices: Floats
     """(k, 3), each once."""
     corners: Integers
     """(m, 3) rows of vertices, one row a triangle."""
+    rows: Integers
+    """(m,) rows of the triangles as given."""
     normals: Floats
-    """(m, 3) outward unit normals; a sliver has that of a plane that holds the solid there."""
-    edges: Integers
-    """(e, 2) rows of vertices, each edge once."""
+    """(m, 3) unit normals. Of a convex surface they point outwards, and a sliver has that of a
+    plane that holds the solid there."""
 
 
 class Closed(NamedTuple):
@@ -224,7 +226,7 @@ class Closed(NamedTuple):
     edges: Integers  # (e, 2)
 
 
-def surface_of(triangles: Floats) -> Surface:
+def convex_surface(triangles: Floats) -> Surface:
     """The surface of finite triangles (m, 3, 3); ValueError, saying why, if it is not closed and
     convex.
     """
@@ -266,7 +268,7 @@ def surface_of(triangles: Floats) -> Surface:
         normals[sliver] = lies.normals[sliver]
     if not goes_around(vertices[rows] - middle, heights):
         raise ValueError('the mesh is not the surface of one convex solid')
-    return Surface(places[closed.used], rows, normals, closed.edges)
+    return Surface(places[closed.used], rows, closed.row, normals)
 
 
 def _noise(points: Floats, extent: float, largest: float) -> float:
@@ -541,58 +543,209 @@ def _around(places: Floats, starts: NDArray[np.int64]) -> Floats:
     return np.ascontiguousarray(rows.reshape(-1, LANES, NUMBERS).transpose(0, 2, 1))
 
 
-# ---- Convex meshes: solids within closed surfaces of triangles.
+# ---- The surface of any triangles, and whether it is closed.
+#
+# What counts inside by the parity of crossings needs an even number of triangles at every edge,
+# no more: parts may touch, cross and lie in each other, and triangles may be wound anyhow. A
+# triangle without area is crossed by no line, but may close the seam between others: so it counts
+# for the edges, and is left out afterwards.
+
+CONVEX, SOLID, SHELL = range(3)  # forms of a mesh
+
+
+def any_surface(triangles: Floats, solid: bool) -> tuple[Surface, bool]:
+    """(the triangles (m, 3, 3) that have an area, whether all of them are closed); ValueError if
+    they have to be closed, as they are `solid`, and are not.
+    """
+    given = triangles.reshape(-1, 3)
+    lo, hi = given.min(axis=0), given.max(axis=0)
+    extent, largest = float((hi - lo).max()), float(np.maximum(-lo, hi).max())
+    if extent > 0.0 and not (extent > SMALLEST_SURFACE and largest < LARGEST_SURFACE):
+        raise ValueError(
+            f'a mesh that is not convex must be larger than {SMALLEST_SURFACE} m, and lie within '
+            f'{LARGEST_SURFACE} m'
+        )
+    first, number = coinciding(given)
+    points, corners = given[first], number.reshape(-1, 3)
+    odd = _odd_edges(corners)
+    if len(odd):
+        # As exporters round corners, see above.
+        welded = weld(points, 0.5 * _noise(given, extent, largest))[corners]
+        if not len(_odd_edges(welded)):
+            corners, odd = welded, odd[:0]
+    if len(odd) and solid:
+        raise ValueError(
+            'a solid mesh must be closed: an odd number of triangles meets at an edge of '
+            f'triangle {int(odd[0])}'
+        )
+    rows = np.flatnonzero(_have_area(points[corners]))
+    if not len(rows):
+        raise ValueError('the mesh has no triangle with an area')
+    used, number = np.unique(corners[rows], return_inverse=True)
+    corners = number.reshape(-1, 3)
+    vertices = points[used]
+    normals = _planes(vertices, corners)[0]
+    return Surface(vertices, corners, rows, normals), not len(odd)
+
+
+def _odd_edges(corners: Integers) -> Integers:
+    """Rows of triangles with an edge at which an odd number of them meets."""
+    ends = np.sort(corners[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
+    row = np.repeat(np.arange(len(corners)), 3)
+    real = ends[:, 0] != ends[:, 1]
+    number = _one_number(ends[real])
+    odd: Integers = row[real][np.bincount(number)[number] % 2 == 1]
+    return odd
+
+
+def _have_area(places: Floats) -> NDArray[np.bool_]:
+    """Which triangles have an area, exactly: those that seem to have none are looked at in
+    rational numbers.
+    """
+    size = np.abs(places - places[:, :1]).max(axis=(1, 2))
+    exponent = np.frexp(size)[1][:, None]
+    one, two = (np.ldexp(places[:, k] - places[:, 0], -exponent) for k in (1, 2))
+    have = np.abs(np.cross(one, two)).max(axis=1) > DOUBTFUL
+    for row in np.flatnonzero(~have).tolist():
+        a, b, c = ([Fraction(x) for x in corner] for corner in places[row].tolist())
+        p, q = ([x - y for x, y in zip(other, a, strict=True)] for other in (b, c))
+        have[row] = any(p[i] * q[i - 1] != p[i - 1] * q[i] for i in range(3))
+    return have
+
+
+DOUBTFUL = 2.0**-40  # of lengths about 1: a cross product below may be all rounding
+
+
+def _corners(value: ArrayLike) -> Floats:
+    """Triangles (m, 3, 3)."""
+    if isinstance(value, np.ndarray) and value.shape[1:] != (3, 3):
+        raise ValueError(f'triangles must have shape (m, 3, 3), not {value.shape}')
+    corners = checks.floats('triangles', value)
+    if corners.ndim != 3 or corners.shape[1:] != (3, 3) or not len(corners):
+        raise ValueError(f'triangles must have shape (m, 3, 3), not {corners.shape}')
+    return corners
+
+
+def _indexed(vertices: ArrayLike, faces: ArrayLike) -> Floats:
+    """Triangles of vertices (k, 3) and their rows (m, 3)."""
+    places = checks.floats('vertices', vertices)
+    if places.ndim != 2 or places.shape[1] != 3:
+        raise ValueError(f'vertices must have shape (k, 3), not {places.shape}')
+    try:
+        rows = np.asarray(faces)
+        checks.refuse_masked(faces, rows)
+    except checks.FOREIGN as error:
+        raise ValueError(f'faces must be rows of vertices: {error}') from None
+    if rows.ndim != 2 or rows.shape[1] != 3 or not len(rows):
+        raise ValueError(f'faces must have shape (m, 3), not {rows.shape}')
+    if rows.dtype.kind not in 'iu':
+        raise ValueError(f'faces must be integers, not {rows.dtype}')
+    outside = ((rows < 0) | (rows >= len(places))).any(axis=1)
+    if outside.any():
+        bad = int(np.argmax(outside))
+        raise ValueError(
+            f'faces must name rows of {len(places)} vertices: row {bad} is {rows[bad].tolist()}'
+        )
+    return places[rows]
+
+
+# ---- Meshes of any triangles.
 
 
 # By how much the boxes in a mesh's tree are larger than its triangles, in shares of the mesh.
 PAD = 2.0**-44
+# Beyond, exact products of six lengths of a mesh that is not convex leave the range of doubles.
+SMALLEST_SURFACE, LARGEST_SURFACE = 1e-30, 1e30
+NEGLIGIBLE = 2.0**-200  # of a mesh's size: coordinates below become 0
 
 
 class Mesh:
-    """A convex solid, given by the triangles of its surface.
+    """Triangles: a convex solid, a solid of any form, or a surface.
 
     Parameters
     ----------
     triangles : array_like, shape (m, 3, 3)
-        Corners, m; the winding does not matter. They are taken as rounded to float32: what is as
-        near as that is one corner, and by as little, 2.4e-7 of its size, the surface may lie
-        within the hull of its corners. Triangles without area may close the surface. Every edge
-        must belong to exactly two triangles.
+        Corners, m; the winding does not matter. With `faces`: vertices, shape (k, 3).
+    faces : array_like of int, shape (m, 3), optional
+        Rows of the vertices, one row a triangle.
+    solid : bool, optional
+        Whether the inside is occupied. None: where the mesh is closed, that is where an even
+        number of triangles meets at every edge. True demands a closed mesh. False makes a shell,
+        which is its surface alone.
+
+    Notes
+    -----
+    A mesh is convex if it is the closed surface of one convex solid. The triangles are taken as
+    rounded to float32 for that: corners as near as that become one, and by as little, 2.4e-7 of
+    its size, the surface may lie within the hull of its corners. The same welding closes a mesh
+    that is closed only then.
+
+    A point is inside a solid if a line from there crosses the surface an odd number of times. So
+    of two nested closed surfaces the inner one is a hollow.
 
     Raises
     ------
     ValueError
-        If the triangles are not finite, or not the closed surface of one convex solid.
+        If the triangles are not finite, none has an area, an index is out of range, or the mesh
+        is not closed where `solid` is True.
+
+    Examples
+    --------
+    >>> from bvh_ros import Mesh
+    >>> Mesh([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], [[0, 1, 2], [0, 1, 3]])
+    Mesh(surface of 2 triangles, 1 x 1 x 1 m)
     """
 
-    def __init__(self, triangles: ArrayLike) -> None:
-        if isinstance(triangles, np.ndarray) and triangles.shape[1:] != (3, 3):
-            raise ValueError(f'triangles must have shape (m, 3, 3), not {triangles.shape}')
-        corners = checks.floats('triangles', triangles)
-        if corners.ndim != 3 or corners.shape[1:] != (3, 3) or not len(corners):
-            raise ValueError(f'triangles must have shape (m, 3, 3), not {corners.shape}')
+    def __init__(
+        self, triangles: ArrayLike, faces: ArrayLike | None = None, *, solid: bool | None = None
+    ) -> None:
+        if solid is not None and not isinstance(solid, (bool, np.bool_)):
+            raise ValueError(f'solid must be True, False or None, not {checks.shown_short(solid)}')
+        corners = _corners(triangles) if faces is None else _indexed(triangles, faces)
         finite = np.isfinite(corners).all(axis=(1, 2))
         if not finite.all():
             raise ValueError(f'triangle {int(np.argmin(finite))} is not finite')
-        surface = surface_of(corners)
+        self.not_convex = 'it is a shell' if solid is False else ''
+        """Why it is no convex solid; empty if it is one."""
+        self.closed = True
+        """Whether an even number of triangles meets at every edge."""
+        try:
+            if self.not_convex:
+                raise ValueError(self.not_convex)
+            surface = convex_surface(corners)
+        except ValueError as reason:
+            self.not_convex = str(reason)
+            surface, self.closed = any_surface(corners, bool(solid))
+        self.convex = not self.not_convex
+        """Whether it is the surface of one convex solid, and solid."""
+        self.solid = self.closed and solid is not False
+        """Whether the inside is occupied."""
+        self.rows: NDArray[np.int32] = surface.rows.astype(np.int32)
+        """(m,) rows of the triangles as given."""
+        self.dropped = len(corners) - len(self.rows)
+        """How many of these had no area, or, of a convex mesh, repeated others."""
         lo, hi = surface.vertices.min(axis=0), surface.vertices.max(axis=0)
         inside = bool((lo <= 0.0).all() and (hi >= 0.0).all())
-        self.centre: Floats = np.zeros(3) if inside else lo * 0.5 + hi * 0.5
-        """(3,) of the box around the mesh, in the frame of the triangles; their origin if the box
-        holds that: then nothing is rounded."""
+        as_given = inside or not self.convex
+        self.centre: Floats = np.zeros(3) if as_given else lo * 0.5 + hi * 0.5
+        """(3,) of the box around a convex mesh, in the frame of the triangles; their origin if the
+        box holds that, or the mesh is not convex: then nothing is rounded."""
         self.size: Floats = hi - lo
         """(3,) edges of that box."""
         order = arranged(surface.vertices)
         row = np.argsort(order)
         self.vertices: Floats = surface.vertices[order] - self.centre
         """(k, 3) seen from the centre, neighbours next to each other."""
+        if not self.convex:
+            tiny = np.abs(self.vertices) < NEGLIGIBLE * float(self.size.max())
+            self.vertices[tiny] = 0.0
         self.corners: NDArray[np.int32] = row[surface.corners].astype(np.int32)
         """(m, 3) rows of `vertices`, one row a triangle."""
         self.normals: Floats = surface.normals
-        """(m, 3) outward unit normals of the triangles."""
-        self.edges: NDArray[np.int32] = row[surface.edges].astype(np.int32)
-        """(e, 2) rows of `vertices`."""
-        self.key = digest(self.vertices, self.corners)
+        """(m, 3) unit normals of the triangles, outwards if the mesh is convex."""
+        self.form = CONVEX if self.convex else SOLID if self.solid else SHELL
+        """As kernels have it."""
+        self.key = digest(self.vertices, self.corners, np.array(self.form))
         """The same for equal meshes."""
         farthest = float(np.linalg.norm(self.vertices, axis=1).max())
         self.radius = math.ldexp(1.0, math.frexp(farthest)[1])
@@ -600,7 +753,8 @@ class Mesh:
 
     def __repr__(self) -> str:
         edges = ' x '.join(f'{edge:g}' for edge in self.size)
-        return f'Mesh({len(self.corners):,} triangles, {edges} m)'
+        kind = 'convex solid' if self.convex else 'solid' if self.solid else 'surface'
+        return f'Mesh({kind} of {len(self.corners):,} triangles, {edges} m)'
 
     @cached_property
     def tree(self) -> tuple[NDArray[Any], int]:
@@ -618,8 +772,20 @@ class Mesh:
 
     @cached_property
     def discs(self) -> Floats:
-        """What `farthest_vertex` needs."""
-        return discs(self.vertices)
+        """What `farthest_vertex` needs of a convex mesh."""
+        return discs(self.vertices if self.convex else self.vertices[:0])
+
+    @cached_property
+    def seeds(self) -> Floats:
+        """(k, 3) a corner of each part whose triangles hang together."""
+        from scipy.sparse import coo_matrix
+        from scipy.sparse.csgraph import connected_components
+
+        count, (one, two, three) = len(self.vertices), self.corners.T
+        links = np.ones(2 * len(one), np.bool_), (np.r_[one, two], np.r_[two, three])
+        number = connected_components(coo_matrix(links, (count, count)), directed=False)[1]
+        used = np.unique(self.corners)
+        return self.vertices[used[np.unique(number[used], return_index=True)[1]]]
 
 
 def digest(*arrays: NDArray[Any]) -> bytes:

@@ -275,7 +275,7 @@ class Shapes(ShapeColumns):
         position: ArrayLike,
         orientation: ArrayLike | None = None,
     ) -> 'Shapes':
-        """Convex meshes, one for all or one a row, whose frames are at `position` (n, 3), m.
+        """Meshes, one for all or one a row, whose frames are at `position` (n, 3), m.
 
         `orientation`: quaternions x, y, z, w, (n, 4), or (4,) for all; None: unturned.
         """
@@ -814,7 +814,8 @@ def _place_meshes(shapes: Shapes, form: Canonical) -> None:
         low, high = _reaches(meshes, which, turns)
         records['position'] += turned(turns, centres)
         position, half = records['position'], records['half']
-        spread = np.abs(position) + turned(np.abs(turns), half)
+        around = np.maximum(turned(np.abs(turns), half), np.maximum(-low, high))
+        spread = np.abs(position) + around
         leans = records['orientation'][:, :2].any(axis=1)
         largest = np.maximum(
             spread[:, :ndim].max(axis=1, initial=0.0),

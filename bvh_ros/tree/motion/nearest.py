@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from ..compiler import inlined, lean_kernel, stack_array
 from ..entries import entry_points
+from ..nodes import ROOT
 from ..query.nearest import (
     NO_POINTS,
     Best,
@@ -201,7 +202,9 @@ def nearest_bounds(tree, query, slots, squares):
     bounds = Bounds(slots, squares, stack_array(1, np.float64))
     bounds.left_out[0] = np.inf
     limit, nodes = pruning_limit(query.reach), query.box.moving.nodes
-    count, limit = visit_nearest(tree, nodes, query, bounds, limit, _square, _look_at_bounds)
+    count, limit = visit_nearest(
+        tree, nodes, tree.state[ROOT], query, bounds, limit, _square, _look_at_bounds
+    )
     while count > query.k and squares[count - 1] > limit:
         count -= 1
     return count, min(bounds.left_out[0], limit)
@@ -228,7 +231,7 @@ def _look_at(tree, query, leaf, square, best, count, limit):
 def _nearest_of_all(tree, query, limit, found, distances):
     """Write slots and distances of the nearest boxes within a limit; return how many there are."""
     nodes, best = query.box.moving.nodes, Best(found, distances)
-    return visit_nearest(tree, nodes, query, best, limit, _square, _look_at)[0]
+    return visit_nearest(tree, nodes, tree.state[ROOT], query, best, limit, _square, _look_at)[0]
 
 
 @inlined

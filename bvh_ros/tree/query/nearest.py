@@ -119,7 +119,7 @@ def pruning_limit(reach):
 
 
 @inlined
-def visit_nearest(tree, nodes, query, best, limit, square, look_at):
+def visit_nearest(tree, nodes, root, query, best, limit, square, look_at):
     """Visit the leaves whose squared distance is within a limit, nearer children first. Return how
     many boxes are found, and the last limit.
 
@@ -127,7 +127,7 @@ def visit_nearest(tree, nodes, query, best, limit, square, look_at):
     the new count and limit. square(nodes, node, query, limit) is as `enter` of `next_leaf`.
     """
     stack = Stack(stack_array(DEEPEST, np.int64), stack_array(DEEPEST, np.float64))
-    top, count = push_root(nodes, tree.state[ROOT], query, limit, stack, square), np.int64(0)
+    top, count = push_root(nodes, root, query, limit, stack, square), np.int64(0)
     while top > 0:
         leaf, top = next_leaf(nodes, query, limit, stack, top, square)
         if leaf == NONE:
@@ -178,7 +178,8 @@ def _look_at(tree, query, leaf, square, best, count, limit):
 @inlined
 def _nearest(tree, query, slots, distances):
     best, limit = Best(slots, distances), pruning_limit(query.reach)
-    return visit_nearest(tree, tree.nodes, query, best, limit, _square, _look_at)[0]
+    root = tree.state[ROOT]
+    return visit_nearest(tree, tree.nodes, root, query, best, limit, _square, _look_at)[0]
 
 
 @lean_kernel

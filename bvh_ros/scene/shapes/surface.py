@@ -1,0 +1,456 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The triangles of a mesh: which of them a line crosses, and whether they go around a point.
+
+**Nothing slips through an edge.** On which side of an edge a line passes is the sign of a
+determinant of the given doubles. It is exact: where rounding leaves it open, the determinant is
+summed up without rounding (Shewchuk, "Adaptive Precision Floating-Point Arithmetic and Fast
+Robust Geometric Predicates", 1997). The two triangles at an edge get opposite signs, or zero, and
+a triangle counts with its edges. So does one in whose plane the line runs.
+
+**Inside by parity.** From a point in a solid every line crosses the surface an odd number of
+times. A line through an edge, or along a face, does not tell; then another direction is taken.
+"""
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ...tree.access import (
+    ALL,
+    DEEPEST,
+    DIRECTION,
+    NONE,
+    ORIGIN,
+    RAY_ROWS,
+    Near,
+    Stack,
+    enter_box,
+    next_leaf,
+    prepare_ray,
+    pruning_limit,
+    push_root,
+    set_ray,
+    sign_of_four_products,
+    traversal_distance,
+    two_product,
+    two_sum,
+    visit_nearest,
+)
+from ...tree.compiler import inlined, lean_kernel, stack_array
+
+
+class Surface(NamedTuple):
+    """Triangles of a mesh and the tree over them; see `hull.Hulls`."""
+
+    vertices: Any
+    corners: Any
+    nodes: Any
+    root: Any
+    radius: Any
+
+
+# ---- exact signs
+
+SURE = 2.0**-49  # of a sum of magnitudes: more than what rounds a determinant
+TERMS = 384
+
+
+@lean_kernel
+def sign_of_sum(terms, count):
+    """Sign of the exact sum of the first `count` numbers, which are overwritten."""
+    parts = 0
+    for i in range(count):
+        total, kept = terms[i], 0
+        for j in range(parts):
+            total, error = two_sum(total, terms[j])
+            if error != 0.0:
+                terms[kept] = error
+                kept += 1
+        if total != 0.0:
+            terms[kept] = total
+            kept += 1
+        parts = kept
+    return 0.0 if parts == 0 else math.copysign(1.0, terms[parts - 1])
+
+
+@lean_kernel
+def exact_side(origin, a, b, vector, base, t, direction):
+    """Sign of (vector - base - t direction) . ((a - origin) x (b - origin)), without rounding."""
+    terms, count = stack_array(TERMS, np.float64), 0
+    one, two, three = (
+        stack_array(4, np.float64),
+        stack_array(2, np.float64),
+        stack_array(2, np.float64),
+    )
+    for axis in range(3):
+        one[0], one[1] = two_sum(vector[axis], -base[axis])
+        one[2], one[3] = two_product(-t, direction[axis])
+        for swapped in range(2):
+            y, z = (axis + 1 + swapped) % 3, (axis + 2 - swapped) % 3
+            two[0], two[1] = two_sum(a[y], -origin[y])
+            three[0], three[1] = two_sum(b[z], -origin[z])
+            if swapped == 1:
+                two[0], two[1] = -two[0], -two[1]
+            for number in range(16):
+                factor = one[number >> 2]
+                if factor == 0.0:
+                    continue
+                high, low = two_product(two[number >> 1 & 1], three[number & 1])
+                terms[count], terms[count + 1] = two_product(high, factor)
+                terms[count + 2], terms[count + 3] = two_product(low, factor)
+                count += 4
+    return sign_of_sum(terms, count)
+
+
+@lean_kernel
+def side(origin, a, b, vector, base):
+    """(vector - base) . ((a - origin) x (b - origin)), with the sign of the exact value.
+
+    With `base` zero it tells on which side of the edge from a to b the line from the origin along
+    a vector passes; with `base` the origin, on which side of a triangle's plane the origin is.
+    """
+    total, size = 0.0, 0.0
+    for axis in range(3):
+        y, z = (axis + 1) % 3, (axis + 2) % 3
+        one = vector[axis] - base[axis]
+        first = (a[y] - origin[y]) * (b[z] - origin[z])
+        second = (a[z] - origin[z]) * (b[y] - origin[y])
+        total += one * (first - second)
+        size += abs(one) * (abs(first) + abs(second))
+    if abs(total) > SURE * size:
+        return total
+    return exact_side(origin, a, b, vector, base, 0.0, vector) * max(abs(total), LEAST)
+
+
+LEAST = 1e-300  # instead of a determinant that is rounded to zero
+
+
+# ---- where a line crosses a triangle
+
+
+class Crossing(NamedTuple):
+    """Where a line crosses a triangle."""
+
+    s: Any
+    """How far from its origin, in units of its direction; inf if it crosses the triangle nowhere,
+    or only before the origin. In the plane of the triangle: where it enters it."""
+    sign: Any
+    """-1 before the origin, 0 at it, 1 after it."""
+    is_clear: Any
+    """Whether it crosses the inside of the triangle, or surely not the triangle."""
+
+
+@inlined
+def misses():
+    return Crossing(np.inf, 1.0, True)
+
+
+@lean_kernel
+def cross_triangle(vertices, corner, origin, direction, zero):
+    """The `Crossing` of a line; `zero` is a zero vector. Points of it before the origin count."""
+    a, b, c = vertices[corner[0]], vertices[corner[1]], vertices[corner[2]]
+    u = side(origin, b, c, direction, zero)
+    v = side(origin, c, a, direction, zero)
+    if min(u, v) < 0.0 < max(u, v):
+        return misses()
+    w = side(origin, a, b, direction, zero)
+    if min(u, v, w) < 0.0 < max(u, v, w):
+        return misses()
+    total = u + v + w
+    if total == 0.0:
+        return cross_within_plane(a, b, c, origin, direction, zero)
+    axis = 0
+    for other in range(1, 3):
+        if abs(direction[other]) > abs(direction[axis]):
+            axis = other
+    base = a[axis] - origin[axis]
+    depth = base + ((b[axis] - a[axis]) * v + (c[axis] - a[axis]) * w) / total
+    sign = side(origin, b, c, a, origin)
+    sign = sign if total > 0.0 else -sign
+    s = depth / direction[axis]
+    sign = 0.0 if sign == 0.0 else math.copysign(1.0, sign)
+    s = 0.0 if sign == 0.0 else math.copysign(s, sign)
+    return Crossing(s, sign, u != 0.0 and v != 0.0 and w != 0.0)
+
+
+CLOSE = 2.0**-40  # of a distance: far more than what rounds it
+
+
+@lean_kernel
+def is_within(vertices, corner, origin, direction, crossing, reach):
+    """Whether a line crosses a triangle from its origin on up to a distance, exactly."""
+    if crossing.sign < 0.0 or abs(crossing.s - reach) > CLOSE * reach:
+        return crossing.sign >= 0.0 and crossing.s <= reach
+    a, b, c = vertices[corner[0]], vertices[corner[1]], vertices[corner[2]]
+    # The plane is met at s = (a - origin) . normal / direction . normal.
+    height = exact_side(a, b, c, a, origin, 0.0, direction)
+    left = exact_side(a, b, c, a, origin, reach, direction)
+    return left == 0.0 or left != height
+
+
+@lean_kernel
+def cross_within_plane(a, b, c, origin, direction, zero):
+    """The `Crossing` of a line that runs in the plane of a triangle: where it enters it."""
+    normal, sides, along = (
+        stack_array(3, np.float64),
+        stack_array(3, np.float64),
+        stack_array(3, np.float64),
+    )
+    widest, square = 0, 0.0
+    for axis in range(3):
+        y, z = (axis + 1) % 3, (axis + 2) % 3
+        normal[axis] = (b[y] - a[y]) * (c[z] - a[z]) - (b[z] - a[z]) * (c[y] - a[y])
+        if abs(normal[axis]) > abs(normal[widest]):
+            widest = axis
+        square += direction[axis] * direction[axis]
+    y, z = (widest + 1) % 3, (widest + 2) % 3
+    for number in range(3):
+        place = a if number == 0 else (b if number == 1 else c)
+        sides[number] = sign_of_four_products(
+            *(direction[y], place[z], -direction[y], origin[z]),
+            *(-direction[z], place[y], direction[z], origin[y]),
+        )
+        along[number] = 0.0
+        for axis in range(3):
+            along[number] += (place[axis] - origin[axis]) * direction[axis]
+        along[number] /= square
+    if sides[0] * sides[1] > 0.0 and sides[1] * sides[2] > 0.0:
+        return misses()
+    first, last = np.inf, -np.inf
+    for number in range(3):
+        following = (number + 1) % 3
+        one, other = sides[number], sides[following]
+        s = along[number]
+        if one * other < 0.0:
+            place = a if number == 0 else (b if number == 1 else c)
+            end = b if number == 0 else (c if number == 1 else a)
+            before = direction[y] * (place[z] - origin[z]) - direction[z] * (place[y] - origin[y])
+            after = direction[y] * (end[z] - origin[z]) - direction[z] * (end[y] - origin[y])
+            share = before / (before - after) if before != after else 0.5
+            s += (along[following] - s) * min(max(share, 0.0), 1.0)
+        elif one != 0.0:
+            continue
+        first, last = min(first, s), max(last, s)
+    sign = 1.0 if first > 0.0 else (0.0 if last >= 0.0 else -1.0)
+    return Crossing(max(first, 0.0) if last >= 0.0 else last, sign, False)
+
+
+# ---- lines through the tree of a mesh
+
+
+class Line(NamedTuple):
+    """What `enter_box` reads."""
+
+    ray: Any
+    mask: Any
+    wide: Any
+
+
+@inlined
+def visit_line(surface, ray, reach, found, visit):
+    """Hand the triangles that a line may cross up to a distance to a visitor; return what it
+    found, `found` at first. visit(surface, ray, face, zero, found) returns what is found now, and
+    up to where the line goes on.
+    """
+    nodes, root, zero = surface.nodes, surface.root, stack_array(3, np.float64)
+    zero[0] = zero[1] = zero[2] = 0.0
+    scale, wide = prepare_ray(ray, nodes[root].lo, nodes[root].hi)
+    line, limit = Line(ray, ALL, wide), traversal_distance(reach, scale)
+    stack = Stack(stack_array(DEEPEST, np.int64), stack_array(DEEPEST, np.float64))
+    top = push_root(nodes, root, line, limit, stack, enter_box)
+    while top > 0:
+        leaf, top = next_leaf(nodes, line, limit, stack, top, enter_box)
+        if leaf == NONE:
+            break
+        found, reach = visit(surface, ray, np.int64(leaf >> 1), zero, found)
+        limit = traversal_distance(reach, scale)
+    return found
+
+
+class First(NamedTuple):
+    """The first triangle that a line crosses."""
+
+    s: Any
+    face: Any
+    """Its row; NONE without any."""
+    reach: Any
+    """How far the line goes."""
+
+
+@inlined
+def _visit_first(surface, ray, face, zero, found):
+    corner = surface.corners[face]
+    crossing = cross_triangle(surface.vertices, corner, ray[ORIGIN], ray[DIRECTION], zero)
+    within = is_within(
+        surface.vertices, corner, ray[ORIGIN], ray[DIRECTION], crossing, found.reach
+    )
+    if within and (crossing.s < found.s or (crossing.s == found.s and face < found.face)):
+        found = First(crossing.s, face, found.reach)
+    return found, min(found.s, found.reach * (1.0 + CLOSE))
+
+
+@lean_kernel
+def first_crossing(surface, ray, reach):
+    """(s, row) of the first triangle that a line, the rows ORIGIN and DIRECTION of a ray, crosses
+    up to a distance in units of its direction; (inf, NONE) if it crosses none.
+    """
+    set_ray(ray, ray[ORIGIN], ray[DIRECTION])
+    first = visit_line(surface, ray, reach, First(np.inf, np.int64(NONE), reach), _visit_first)
+    return first.s, first.face
+
+
+class Parity(NamedTuple):
+    """What a line from a point tells of it."""
+
+    is_odd: Any
+    is_on_surface: Any
+    is_clear: Any
+    """False where the line touches an edge, or runs along a face."""
+
+
+@inlined
+def _visit_all(surface, ray, face, zero, found):
+    crossing = cross_triangle(
+        surface.vertices, surface.corners[face], ray[ORIGIN], ray[DIRECTION], zero
+    )
+    odd, on_surface, is_clear = found
+    if crossing.sign == 0.0:
+        on_surface = True
+    elif crossing.sign > 0.0 and crossing.s < np.inf:
+        odd = not odd
+    is_clear = is_clear and crossing.is_clear
+    return Parity(odd, on_surface, is_clear), -1.0 if on_surface else np.inf
+
+
+MOST_DIRECTIONS = 64
+
+
+@lean_kernel
+def holds_point(surface, point):
+    """Whether a point is in a solid or on its surface, exactly."""
+    ray, inside = stack_array((RAY_ROWS, 3), np.float64), True
+    lowest, highest = surface.nodes[surface.root].lo, surface.nodes[surface.root].hi
+    for axis in range(3):
+        inside = inside and lowest[axis] <= point[axis] <= highest[axis]
+        ray[ORIGIN, axis] = point[axis]
+    if not inside:
+        return False
+    x, y, z = 0.3719, 0.8377, 0.4001
+    for _ in range(MOST_DIRECTIONS):
+        ray[DIRECTION, 0], ray[DIRECTION, 1], ray[DIRECTION, 2] = x - 0.5, y - 0.5, z - 0.5
+        set_ray(ray, ray[ORIGIN], ray[DIRECTION])
+        parity = visit_line(surface, ray, np.inf, Parity(False, False, True), _visit_all)
+        if parity.is_on_surface:
+            return True
+        if parity.is_clear:
+            return parity.is_odd
+        # Another direction: what chaos makes of this one.
+        x, y, z = 3.9 * y * (1.0 - y), 3.93 * z * (1.0 - z), 3.97 * x * (1.0 - x)
+    return True  # what nobody can tell is occupied
+
+
+# ---- the closest point of a surface
+
+
+@lean_kernel
+def closest_on_segment(a, b, point, out):
+    """Fill in the closest point of the segment from a to b; return the squared distance."""
+    along, square, total = 0.0, 0.0, 0.0
+    for axis in range(3):
+        step = b[axis] - a[axis]
+        along += (point[axis] - a[axis]) * step
+        square += step * step
+    share = min(max(along / square, 0.0), 1.0) if square > 0.0 else 0.0
+    for axis in range(3):
+        # From the nearer end: of a long edge that keeps its digits.
+        if share <= 0.5:
+            out[axis] = a[axis] + share * (b[axis] - a[axis])
+        else:
+            out[axis] = b[axis] - (1.0 - share) * (b[axis] - a[axis])
+        total += (point[axis] - out[axis]) ** 2
+    return total
+
+
+@lean_kernel
+def closest_on_triangle(vertices, corner, point, out):
+    """Fill in the closest point of a triangle; return the squared distance.
+
+    It is the foot of the perpendicular if that is in the triangle, else on an edge. A sliver, of
+    which rounding leaves no normal, is as near as its edges.
+    """
+    a, b, c = vertices[corner[0]], vertices[corner[1]], vertices[corner[2]]
+    trial, normal = stack_array(3, np.float64), stack_array(3, np.float64)
+    square, height, u, v, w = 0.0, 0.0, 0.0, 0.0, 0.0
+    for axis in range(3):
+        y, z = (axis + 1) % 3, (axis + 2) % 3
+        normal[axis] = (b[y] - a[y]) * (c[z] - a[z]) - (b[z] - a[z]) * (c[y] - a[y])
+        square += normal[axis] * normal[axis]
+    for axis in range(3):
+        y, z = (axis + 1) % 3, (axis + 2) % 3
+        ay, az = a[y] - point[y], a[z] - point[z]
+        by, bz = b[y] - point[y], b[z] - point[z]
+        cy, cz = c[y] - point[y], c[z] - point[z]
+        u += normal[axis] * (by * cz - bz * cy)
+        v += normal[axis] * (cy * az - cz * ay)
+        w += normal[axis] * (ay * bz - az * by)
+        height += normal[axis] * (a[axis] - point[axis])
+    best = np.inf
+    if square > 0.0 and min(u, v, w) >= 0.0:
+        best = 0.0
+        for axis in range(3):
+            out[axis] = point[axis] + height / square * normal[axis]
+            best += (point[axis] - out[axis]) ** 2
+    for number in range(3):
+        start = a if number == 0 else (b if number == 1 else c)
+        end = b if number == 0 else (c if number == 1 else a)
+        if best == np.inf or number > 0:
+            apart = closest_on_segment(start, end, point, trial)
+            if apart < best:
+                best = apart
+                for axis in range(3):
+                    out[axis] = trial[axis]
+    return best
+
+
+class NearestPoint(NamedTuple):
+    """What `visit_nearest` hands on."""
+
+    surface: Any
+    out: Any
+
+
+@inlined
+def _look_at_triangle(near_by, query, leaf, square, best, count, limit):
+    trial, surface = stack_array(3, np.float64), near_by.surface
+    apart = closest_on_triangle(surface.vertices, surface.corners[leaf >> 1], query.low, trial)
+    if apart < best[0]:
+        best[0] = apart
+        for axis in range(3):
+            near_by.out[axis] = trial[axis]
+        limit = pruning_limit(math.sqrt(apart))
+    return np.int64(1), limit
+
+
+@inlined
+def gap_square(nodes, node, query, limit):
+    """The squared distance of a node from a box, if it is within a limit, else inf."""
+    lo, hi, total = nodes[node].lo, nodes[node].hi, 0.0
+    for axis in range(3):
+        gap = max(lo[axis] - query.high[axis], 0.0, query.low[axis] - hi[axis])
+        total += gap * gap
+    return total if total <= limit else np.inf
+
+
+@lean_kernel
+def closest_on_surface(surface, point, out):
+    """Fill in the closest point of a surface; return the distance."""
+    best = stack_array(1, np.float64)
+    best[0] = np.inf
+    query = Near(point, point, 1, np.inf, ALL)
+    near_by = NearestPoint(surface, out)
+    visit_nearest(
+        near_by, surface.nodes, surface.root, query, best, np.inf, gap_square, _look_at_triangle
+    )
+    return math.sqrt(best[0])
