@@ -112,6 +112,7 @@ class DistanceQueries:
         found = min(every, key=lambda one: (one.distances.item(0), handles[one.slots[0]]))
         if found.slots[0] == NONE:
             return None
+        self._require_depths(found)
         return Clearance(
             found.distances.item(0),
             self._store.registry.name(found.slots[0]),
@@ -235,7 +236,9 @@ class DistanceQueries:
         Raises
         ------
         ValueError
-            If a row is no legal shape, or another argument is NaN, negative or of the wrong shape.
+            If a row is no legal shape, or another argument is NaN, negative or of the wrong shape;
+            if `signed`, and one of two shapes has a mesh that is not convex: only the distance of
+            a ball and a solid has a sign then.
         """
         if self._store.change.unfinished:
             self._store.change.require_none()
@@ -256,6 +259,8 @@ class DistanceQueries:
             legal, hulls = query_rows(given, 0.0, mask, self._store.planar)
             found = self._find_then(tuple(legal), hulls, options, threads, at)
         assert found is not None
+        if signed:
+            self._require_depths(found)
         _, distances, points, other_points, handles = found
         return handles, distances, points, other_points
 
@@ -267,6 +272,18 @@ class DistanceQueries:
         if times is None:
             return self._clearances.find_rows(rows, hulls, options, threads)
         return self._timed.distances().clearances(rows, hulls, options, times, threads)
+
+    def _require_depths(self, found: Neighbours) -> None:
+        """ValueError that names an obstacle for which there is no signed distance."""
+        bad = np.flatnonzero(np.isneginf(found.distances))
+        if not len(bad):
+            return
+        columns = self._store.columns
+        slot = np.flatnonzero(columns.node_handle == found.handles[bad[0]])[0]
+        raise ValueError(
+            'there is no signed distance between meshes that are not convex and other shapes than '
+            f'balls: row {bad[0]}, obstacle {self._store.registry.name(slot)}'
+        )
 
 
 def sign_of(signed: bool) -> Signed:

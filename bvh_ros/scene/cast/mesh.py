@@ -2,14 +2,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """Rays and balls against one mesh in its own frame.
 
-**A convex mesh** is followed from before it, so that where the ray enters is the first triangle
-that it crosses, whatever the winding. Where the origin lies beyond that, the same from behind
-decides whether it lies before the exit, that is inside. GJK computes the distance of a ball.
+A thin ray enters a mesh by the first triangle that it crosses from its origin on; or at once, if
+the mesh is solid and holds the origin. The ray is that of the caller in the frame of the mesh,
+with a direction of any length: where the mesh is not turned, and lies at the world's origin,
+nothing is rounded before the decision.
 
-**Any other mesh** is entered by the first triangle that the ray crosses from its origin on; or at
-once, if the mesh is solid and holds the origin. The ray is that of the caller in the frame of the
-mesh, with a direction of any length: where the mesh is not turned, and lies at the world's origin,
-nothing is rounded before the decision. A ball touches where it first touches a triangle.
+A ball touches a convex mesh where GJK says so, any other one where it first touches a triangle.
 """
 
 import math
@@ -46,37 +44,60 @@ from .shapes import approach_by, reach_of, time_of
 
 
 @lean_kernel
-def enter_surface(surface, scale, origin, direction, reach):
-    """(s, feature) as the functions of `shapes`: the triangle by which a mesh is entered.
-    The ray is given in lengths times `scale`.
-    """
-    ray = stack_array((RAY_ROWS, 3), np.float64)
-    along = 0.0
+def enter_triangles(surface, is_solid, shape, pair, t_max):
+    """(t, feature) at which a thin ray enters a mesh, t up to t_max."""
+    given, ray = pair.ray, stack_array((RAY_ROWS, 3), np.float64)
+    largest = 0.0
     for axis in range(3):
-        along -= origin[axis] * direction[axis]
-        ray[DIRECTION, axis] = direction[axis]
-    if (
-        direction[0] == 0.0 and direction[1] == 0.0 and direction[2] == 0.0
-    ):  # a point: along any line through it
-        ray[DIRECTION, 0] = 1.0
-        along, reach = -origin[0], 0.0
-    begin, end = along - surface.radius * scale, along + surface.radius * scale
-    if not (begin <= reach and end >= 0.0):
+        ray[ORIGIN, axis] = given[ORIGIN, axis] - shape.position[axis]
+        largest = max(largest, abs(given[DIRECTION, axis]))
+    exponent = -math.frexp(largest)[1]
+    for axis in range(3):
+        ray[DIRECTION, axis] = math.ldexp(given[DIRECTION, axis], exponent)
+    rotate(shape.orientation, ray[ORIGIN], -1.0)
+    rotate(shape.orientation, ray[DIRECTION], -1.0)
+    for axis in range(3):  # what is below all digits of the mesh would leave the exact sums
+        if abs(ray[ORIGIN, axis]) < MINUTE * surface.radius:
+            ray[ORIGIN, axis] = 0.0
+        if abs(ray[DIRECTION, axis]) < MINUTE:
+            ray[DIRECTION, axis] = 0.0
+    if is_solid and holds_point(surface, ray[ORIGIN]):
+        return 0.0, np.int64(INSIDE)
+    reach = math.ldexp(t_max, -exponent)
+    if largest == 0.0:
+        ray[DIRECTION, 0], reach = 1.0, 0.0
+    begin = come_near(surface.radius, ray)
+    if not begin <= reach:
         return np.inf, ROUND
-    for axis in range(3):
-        ray[ORIGIN, axis] = (origin[axis] + begin * ray[DIRECTION, axis]) / scale
-    s, face = first_crossing(surface, ray, 4.0 * surface.radius)
-    entry = begin + s * scale
-    if entry > 0.0:
-        return (entry if entry <= reach else np.inf), FACE + face
-    for axis in range(3):
-        ray[ORIGIN, axis] += 2.0 * surface.radius * ray[DIRECTION, axis]
-        ray[DIRECTION, axis] = -ray[DIRECTION, axis]
-    s, face = first_crossing(surface, ray, 4.0 * surface.radius)
-    return (0.0 if end - s * scale >= 0.0 else np.inf), np.int64(INSIDE)
+    s, face = first_crossing(surface, ray, reach - begin)
+    return (min(math.ldexp(begin + s, exponent), t_max) if s < np.inf else np.inf), FACE + face
 
 
-# ---- rays and balls
+MINUTE = 2.0**-200
+FARTHEST, GIANT = 2.0**60, 2.0**200  # of a mesh's radius; m
+
+
+@lean_kernel
+def come_near(radius, ray):
+    """Move a ray's origin to before the mesh if it is so far away that products of lengths may
+    leave the range of doubles; return how far, in units of its direction.
+    """
+    largest, along, square = 0.0, 0.0, 0.0
+    for axis in range(3):
+        largest = max(largest, abs(ray[ORIGIN, axis]))
+        along -= 0.25 * ray[ORIGIN, axis] * ray[DIRECTION, axis]
+        square += ray[DIRECTION, axis] * ray[DIRECTION, axis]
+    if largest <= (FARTHEST if radius < GIANT else 2.0) * radius:
+        return 0.0
+    begin = 4.0 * (along / square) - 2.0 * radius / math.sqrt(square)
+    if not begin > 0.0:
+        return 0.0
+    for axis in range(3):
+        ray[ORIGIN, axis] += begin * ray[DIRECTION, axis]
+    return begin
+
+
+# ---- balls
 
 
 @lean_kernel
@@ -101,47 +122,15 @@ approach_hull = approach_by(measure_hull)
 @lean_kernel
 def enter_convex(hulls, shape, frame, pair, radius, t_max, work):
     """(t, feature) at which a ray, or a ball swept along it, enters a shape's convex mesh."""
-    reach = reach_of(t_max, frame.pace)
     if radius == 0.0:
-        surface = surface_of(hulls, shape)
-        s, feature = enter_surface(surface, frame.scale, work[0], work[1], reach)
-        return time_of(s, frame.pace, t_max), feature
+        return enter_triangles(surface_of(hulls, shape), True, shape, pair, t_max)
+    reach = reach_of(t_max, frame.pace)
     solid = hull_of(hulls, shape), frame.scale
     s, _ = approach_hull(solid, radius, reach, frame.slack, work)
     return time_of(s, frame.pace, t_max), np.int64(INSIDE if s == 0.0 else ROUND)
 
 
 # ---- meshes that are not convex
-
-
-@lean_kernel
-def enter_triangles(surface, is_solid, shape, pair, t_max):
-    """(t, feature) at which a thin ray enters any mesh, t up to t_max."""
-    given, ray = pair.ray, stack_array((RAY_ROWS, 3), np.float64)
-    largest = 0.0
-    for axis in range(3):
-        ray[ORIGIN, axis] = given[ORIGIN, axis] - shape.position[axis]
-        largest = max(largest, abs(given[DIRECTION, axis]))
-    exponent = -math.frexp(largest)[1]
-    for axis in range(3):
-        ray[DIRECTION, axis] = math.ldexp(given[DIRECTION, axis], exponent)
-    rotate(shape.orientation, ray[ORIGIN], -1.0)
-    rotate(shape.orientation, ray[DIRECTION], -1.0)
-    for axis in range(3):  # what is below all digits of the mesh would leave the exact sums
-        if abs(ray[ORIGIN, axis]) < MINUTE * surface.radius:
-            ray[ORIGIN, axis] = 0.0
-        if abs(ray[DIRECTION, axis]) < MINUTE:
-            ray[DIRECTION, axis] = 0.0
-    if is_solid and holds_point(surface, ray[ORIGIN]):
-        return 0.0, np.int64(INSIDE)
-    reach = math.ldexp(t_max, -exponent)
-    if largest == 0.0:
-        ray[DIRECTION, 0], reach = 1.0, 0.0
-    s, face = first_crossing(surface, ray, reach)
-    return (min(math.ldexp(s, exponent), t_max) if s < np.inf else np.inf), FACE + face
-
-
-MINUTE = 2.0**-200
 
 
 class BallNodes(NamedTuple):

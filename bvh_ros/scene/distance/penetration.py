@@ -8,8 +8,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ...tree.access import two_sum
-from ...tree.compiler import lean_kernel, stack_array
-from ..shapes.hull import hull_of, hull_of_point
+from ...tree.compiler import chosen_by_types, lean_kernel, stack_array
+from ..shapes.hull import are_any, form_of, hull_of, hull_of_point, surface_of
+from ..shapes.mesh import CONVEX, SOLID
+from ..shapes.shape import SPHERE
+from ..shapes.surface import closest_on_surface, holds_point
 from .certified import certified_bounds, cross2, dot2, set_normal
 from .gjk import (
     AXES,
@@ -25,7 +28,15 @@ from .gjk import (
     dot,
     fill_line,
 )
-from .narrow_phase import fill_core, fill_cores, fill_corners, largest_length, ordered
+from .narrow_phase import (
+    fill_core,
+    fill_cores,
+    fill_corners,
+    from_frame,
+    largest_length,
+    ordered,
+    to_frame,
+)
 
 # ---- The least distance by which two overlapping cores can be parted: expanding polytopes (van
 # den Bergen, "Proximity Queries and Penetration Depth Computation on 3D Game Objects", 2001).
@@ -560,10 +571,88 @@ def signed_distance_in_obstacle(shape, bodies, centre, found, row):
         signed_distance_in_box(points[0, :ndim], points[1, :ndim], centre, found, row)
         return
     normal = found.normals[row]
-    depth = depth_of_point(centre, shape, bodies.hulls, ndim == 2, points, normal)
+    depth = depth_in_obstacle(bodies.hulls, shape, centre, ndim == 2, points, normal)
     found.distances[row] = 0.0 - depth
     for axis in range(ndim):
         found.points[row, axis] = points[1, axis]
+
+
+@lean_kernel
+def depth_in_any(hulls, shape, centre, planar, points, normal):
+    """`depth_of_point` in a shape that may have a mesh of any form: of one that is not convex, the
+    distance from its surface.
+    """
+    if form_of(hulls, shape) == CONVEX:
+        return depth_of_point(centre, shape, hulls, planar, points, normal)
+    local, closest = stack_array(3, np.float64), points[1]
+    for axis in range(3):
+        local[axis] = points[0, axis] = centre[axis]
+    to_frame(shape, False, local)
+    depth = closest_on_surface(surface_of(hulls, shape), local, closest)
+    from_frame(shape, False, closest)
+    for axis in range(3):
+        normal[axis] = (closest[axis] - centre[axis]) / depth if depth > 0.0 else 0.0
+    return depth
+
+
+@chosen_by_types
+def depth_in_obstacle(hulls, shape, centre, planar, points, normal):
+    """How deep a point is in an obstacle that holds it."""
+    return _in_any if are_any(hulls) else _in_convex
+
+
+def _in_any(hulls, shape, centre, planar, points, normal):
+    return depth_in_any(hulls, shape, centre, planar, points, normal)
+
+
+def _in_convex(hulls, shape, centre, planar, points, normal):
+    return depth_of_point(centre, shape, hulls, planar, points, normal)
+
+
+NO_DEPTH = -np.inf  # of a mesh that is not convex and anything but a ball
+
+
+@lean_kernel
+def ball_in_any(one, other, bodies, points):
+    """`signed_by_surface` where there are meshes of any form."""
+    hulls, sign, ball, place = bodies.hulls, 1.0, one, stack_array(3, np.float64)
+    mesh, side = other, 0
+    if form_of(hulls, other) == CONVEX:
+        hulls, ball, mesh, side = bodies.query_hulls, other, one, 1
+    form = form_of(hulls, mesh)
+    if form == CONVEX:
+        return np.inf
+    if ball.kind != SPHERE or form != SOLID:
+        return NO_DEPTH
+    for axis in range(3):
+        place[axis] = ball.position[axis]
+    to_frame(mesh, False, place)
+    surface, closest = surface_of(hulls, mesh), points[1 - side]
+    if holds_point(surface, place):
+        sign = -1.0
+    away = closest_on_surface(surface, place, closest)
+    from_frame(mesh, False, closest)
+    radius = ball.half[0]
+    for axis in range(3):
+        step = (closest[axis] - ball.position[axis]) / away if away > 0.0 else 0.0
+        points[side, axis] = ball.position[axis] + sign * radius * step
+    return sign * away - radius
+
+
+@chosen_by_types
+def signed_by_surface(hulls, one, other, bodies, points):
+    """Signed distance of a ball from the surface of a solid that is not convex, with the points
+    that are so far apart. NO_DEPTH if it is no ball or no solid, inf if both are convex.
+    """
+    return _by_surface if are_any(hulls) else _by_depth
+
+
+def _by_surface(hulls, one, other, bodies, points):
+    return ball_in_any(one, other, bodies, points)
+
+
+def _by_depth(hulls, one, other, bodies, points):
+    return np.inf
 
 
 @lean_kernel
@@ -571,6 +660,9 @@ def signed_distance_of_shapes(one, other, bodies, distance, points):
     """Minus the depth of a shape in an obstacle where their distance is 0; then fill in the points
     of their surfaces that are so far apart.
     """
+    signed = signed_by_surface(bodies.hulls, one, other, bodies, points)
+    if signed < np.inf:
+        return signed
     if distance > 0.0:
         return distance
     planar, normal = bodies.footprints is not None, stack_array(3, np.float64)

@@ -20,7 +20,7 @@ from ...tree.access import (
     overlap,
 )
 from ...tree.compiler import inlined, lean_kernel, stack_array
-from ..shapes.footprint import outlined
+from ..shapes.footprint import mark_not_convex, outlined
 from ..shapes.hull import Hulls, MeshStore
 from ..shapes.shape import (
     BOX,
@@ -294,6 +294,8 @@ def query_rows(
         given = _row_by_row(given, count)
         form = canonicalise(given)
         bounds[:, 0], bounds[:, 1] = form.lo, form.hi
+        if planar and given.mesh is not None:
+            mark_not_convex(given.mesh, form)
     if np.count_nonzero(form.faults):  # but for FINE, which is 0
         for name, rows in zip(
             names, (given.position, given.size, given.orientation), strict=False

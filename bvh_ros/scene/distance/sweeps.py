@@ -9,17 +9,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...tree.access import (
+    ALL,
     INT64,
     REFUSED,
+    Near,
     begin_query,
     end_query,
     in_threads,
     of_row,
     overlap_swept,
+    visit_nearest,
 )
-from ...tree.compiler import inlined, lean_kernel, stack_array
+from ...tree.compiler import chosen_by_types, inlined, lean_kernel, stack_array
 from ..results import NO_NODE, ShapeSweeps
-from ..shapes.hull import Hulls, hull_of
+from ..shapes.hull import Hulls, are_any, form_of, hull_of, surface_of, triangle_hull
+from ..shapes.mesh import CONVEX
 from ..shapes.shape import (
     CAPSULE,
     CYLINDER,
@@ -33,6 +37,7 @@ from ..shapes.shape import (
     reach_along,
     rotate,
 )
+from ..shapes.surface import gap_square
 from ..store import Obstacles
 from .batch import RowKernel, bodies_of
 from .certified import certified_bounds, plus, set_normal, times
@@ -51,7 +56,7 @@ from .gjk import (
     gap_bounds,
     support,
 )
-from .narrow_phase import fill_core
+from .narrow_phase import FRAMES, fill_core, holds_part, to_frame
 
 # ---- How a shape goes from one pose to another.
 #
@@ -353,15 +358,19 @@ def top_after(motion, other, reach, place, normal, velocity, step, room):
 
 
 @lean_kernel
-def first_contact(bodies, body, motion, obstacle, drift, options, span, contact):
+def contact_of_hulls(
+    planar, body, hull, motion, obstacle, other_hull, drift, options, span, contact
+):
     """The first t of a span, its ends included, at which a body touches an obstacle or is not
     surely farther from it than the resolution; inf if there is none, or after `latest`. span =
     (begin, end, latest), options = (tolerance, resolution).
 
+    The two are convex; `hull` and `other_hull` are the vertices of their meshes.
+
     Fills in contact (2, 3): the obstacle's point that is closest then, and the unit vector from
     there to the body, zero where they overlap at the start.
     """
-    planar, (tolerance, resolution) = bodies.footprints is not None, options
+    tolerance, resolution = options
     rows, room = stack_array((ALL_ROWS, 3), np.float64), stack_array((9, 3), np.float64)
     direction, corner = stack_array(DIRECTION_ROOM, np.float64), stack_array(6, np.float64)
     start, translation, drifting, velocity, normal, last, place = (
@@ -396,8 +405,8 @@ def first_contact(bodies, body, motion, obstacle, drift, options, span, contact)
         moving[HALF, axis] = solid[HALF, axis] = half * scale
         start[axis], translation[axis] = start[axis] * scale, translation[axis] * scale
         drifting[axis], last[axis] = drifting[axis] * scale, 0.0
-    hull, radius = hull_of(bodies.query_hulls, body), radius * scale
-    other = Core(fixed, is_round, hull_of(bodies.hulls, obstacle))
+    radius *= scale
+    other = Core(fixed, is_round, other_hull)
     cores = Core(moving, body.kind == CYLINDER, hull), other
     solid_core = Core(solid, body.kind == CYLINDER, hull)
     extent, rounded = math.sqrt(dot(fixed[HALF], fixed[HALF])), ROUNDED + FAR * far * scale
@@ -514,6 +523,176 @@ def fill_contact(low, radii, direction, last):
         direction[SECOND + axis] += along * min(other_radius, length)
 
 
+# ---- Meshes that are not convex: triangle by triangle.
+
+
+@lean_kernel
+def contact_of_convex(hulls, bodies, body, box, motion, obstacle, drift, options, span, contact):
+    """`first_contact` where all meshes are convex."""
+    planar, hull = bodies.footprints is not None, hull_of(bodies.query_hulls, body)
+    return contact_of_hulls(
+        *(planar, body, hull, motion, obstacle, hull_of(hulls, obstacle)),
+        *(drift, options, span, contact),
+    )
+
+
+class Approach(NamedTuple):
+    """A convex body, or a triangle of one, on its way to an obstacle."""
+
+    hulls: Any
+    body: Any
+    hull: Any
+    box: Any
+    """(2, 3) around the body, unturned."""
+    motion: Any
+    obstacle: Any
+    drift: Any
+    options: Any
+    span: Any
+    contact: Any
+
+
+@lean_kernel
+def fill_region(approach, region):
+    """Fill in the box (2, 3), in the frame of the obstacle, of all places where the body may be in
+    a span of t; the obstacle is where it is told.
+    """
+    room, corner = stack_array((3, 3), np.float64), stack_array(3, np.float64)
+    lo, hi, translation = room[0], room[1], room[2]
+    drift, span, obstacle = approach.drift, approach.span, approach.obstacle
+    more = approach.options[0] + approach.options[1]
+    more += max(growth_at(drift, span[0]), growth_at(drift, span[1]))
+    fill_swept_box(approach.body, approach.box, approach.motion, span, more, lo, hi, translation)
+    size = 0.0
+    for axis in range(3):
+        first = drift.before[axis] + drift.velocity[axis] * min(span[0], drift.stop)
+        last = drift.before[axis] + drift.velocity[axis] * min(span[1], drift.stop)
+        lo[axis] += min(translation[axis], 0.0) - max(first, last)
+        hi[axis] += max(translation[axis], 0.0) - min(first, last)
+        size = max(size, abs(first), abs(last), abs(lo[axis]), abs(hi[axis]))
+        size = max(size, abs(obstacle.position[axis]))
+        region[0, axis], region[1, axis] = np.inf, -np.inf
+    for number in range(8):
+        for axis in range(3):
+            corner[axis] = hi[axis] if number >> axis & 1 == 1 else lo[axis]
+        to_frame(obstacle, False, corner)
+        for axis in range(3):
+            region[0, axis] = min(region[0, axis], corner[axis] - FRAMES * size)
+            region[1, axis] = max(region[1, axis], corner[axis] + FRAMES * size)
+
+
+@inlined
+def _look_at_triangle(near_by, query, leaf, square, best, count, limit):
+    approach, surface, places = near_by
+    hull = triangle_hull(approach.hulls, surface, np.int64(leaf >> 1), places)
+    _look_at_hull(approach, hull, best)
+    return np.int64(1), limit
+
+
+@inlined
+def _look_at_hull(approach, other_hull, best):
+    """Lower best[0] to the first contact with an obstacle, or its triangle."""
+    begin, end, latest = approach.span
+    contact = stack_array((2, 3), np.float64)
+    found = contact_of_hulls(
+        *(False, approach.body, approach.hull, approach.motion, approach.obstacle, other_hull),
+        *(approach.drift, approach.options, (begin, end, min(latest, best[0])), contact),
+    )
+    if found < best[0]:
+        best[0] = found
+        for row in range(2):
+            for axis in range(3):
+                approach.contact[row, axis] = contact[row, axis]
+
+
+@lean_kernel
+def meet_obstacle(approach, best):
+    """Lower best[0] to the first contact of a convex body, or its triangle, with any obstacle."""
+    if form_of(approach.hulls, approach.obstacle) == CONVEX:
+        _look_at_hull(approach, hull_of(approach.hulls, approach.obstacle), best)
+        return
+    region, places = stack_array((2, 3), np.float64), stack_array((3, 3), np.float64)
+    fill_region(approach, region)
+    surface = surface_of(approach.hulls, approach.obstacle)
+    query = Near(region[0], region[1], 1, 0.0, ALL)
+    visit_nearest(
+        *((approach, surface, places), surface.nodes, surface.root, query, best),
+        *(0.0, gap_square, _look_at_triangle),
+    )
+
+
+@lean_kernel
+def contact_of_any(hulls, bodies, body, box, motion, obstacle, drift, options, span, contact):
+    """`first_contact` where meshes may be of any form."""
+    mine, theirs = form_of(bodies.query_hulls, body), form_of(hulls, obstacle)
+    if mine == CONVEX and theirs == CONVEX:
+        return contact_of_convex(
+            hulls, bodies, body, box, motion, obstacle, drift, options, span, contact
+        )
+    best = stack_array(1, np.float64)
+    best[0] = np.inf
+    if span[0] == 0.0 and is_inside(bodies, body, motion, obstacle, drift, contact):
+        return 0.0
+    if mine == CONVEX:
+        hull = hull_of(bodies.query_hulls, body)
+        meet_obstacle(
+            Approach(hulls, body, hull, box, motion, obstacle, drift, options, span, contact), best
+        )
+        return best[0]
+    surface = surface_of(bodies.query_hulls, body)
+    places, own = stack_array((3, 3), np.float64), stack_array((2, 3), np.float64)
+    for face in range(surface.corners.shape[0]):
+        hull = triangle_hull(bodies.query_hulls, surface, face, places)
+        node = surface.nodes[2 * face]
+        for axis in range(3):
+            own[0, axis] = body.position[axis] + node.lo[axis]
+            own[1, axis] = body.position[axis] + node.hi[axis]
+        meet_obstacle(
+            Approach(hulls, body, hull, own, motion, obstacle, drift, options, span, contact), best
+        )
+    return best[0]
+
+
+@lean_kernel
+def is_inside(bodies, body, motion, obstacle, drift, contact):
+    """Whether one of the two is a solid that holds the other at the start; fill in the point."""
+    records, place = stack_array(2, bodies.shapes), contact[0]
+    records[0], records[1] = body, obstacle
+    for axis in range(3):
+        records[0].position[axis] = body.position[axis]
+        records[1].position[axis] = obstacle.position[axis] + drift.before[axis]
+        contact[1, axis] = 0.0
+    rotate(motion[TURN:AXIS], records[0].position, 1.0)
+    for axis in range(3):
+        records[0].position[axis] += motion[START + axis]
+    for part in range(4):
+        records[0].orientation[part] = motion[TURN + part]
+    hulls, own = bodies.hulls, bodies.query_hulls
+    return holds_part(records[1], hulls, records[0], own, place) or holds_part(
+        records[0], own, records[1], hulls, place
+    )
+
+
+@chosen_by_types
+def first_contact(hulls, bodies, body, box, motion, obstacle, drift, options, span, contact):
+    """The first t of a span, its ends included, at which a body touches an obstacle: see
+    `contact_of_hulls`. `hulls` are the obstacle's.
+    """
+    return _contact_of_any if are_any(hulls) else _contact_of_convex
+
+
+def _contact_of_any(hulls, bodies, body, box, motion, obstacle, drift, options, span, contact):
+    return contact_of_any(
+        hulls, bodies, body, box, motion, obstacle, drift, options, span, contact
+    )
+
+
+def _contact_of_convex(hulls, bodies, body, box, motion, obstacle, drift, options, span, contact):
+    return contact_of_convex(
+        hulls, bodies, body, box, motion, obstacle, drift, options, span, contact
+    )
+
+
 # ---- Rows of a batch.
 
 MANY = 12  # obstacles near a motion: it is looked at in parts, the first part first
@@ -579,7 +758,8 @@ def answer_rows(world, bodies, rows, options, handles_of, slots, results, candid
                 drift, shape = drift_of(world, row, slot, room[3:]), bodies.shapes[slot]
                 times_of = begin, end, min(first, end)
                 found = first_contact(
-                    bodies, body, motion, shape, drift, limits, times_of, contact
+                    *(bodies.hulls, bodies, body, rows.box, motion),
+                    *(shape, drift, limits, times_of, contact),
                 )
                 handle = np.int64(handles_of[slot])
                 if found < first or (found == first and found < np.inf and handle < best):

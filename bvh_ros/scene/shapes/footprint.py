@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from ...tree.access import node_dtype
 from ...tree.compiler import inlined, lean_kernel, stack_array
 from .mesh import CONVEX, LANES, NUMBERS, Mesh, convex_polygon, digest
-from .shape import FINE, MESH, Canonical, Floats, ShapeKind, Shapes, rotations
+from .shape import FINE, MESH, NOT_CONVEX, Canonical, Floats, ShapeKind, Shapes, rotations
 
 # ---- Convex polygons: meshes seen from above, for planar scenes.
 
@@ -47,13 +47,21 @@ class Polygon:
 _in_use: WeakValueDictionary[tuple[bytes, bytes], Polygon] = WeakValueDictionary()
 
 
+def mark_not_convex(meshes: NDArray[np.object_], form: Canonical) -> None:
+    """Mark the canonical rows whose meshes are not convex: they have no polygon."""
+    for row in np.flatnonzero((form.records['kind'] == MESH) & (form.faults == FINE)).tolist():
+        if not meshes[row].convex:
+            form.faults[row] = NOT_CONVEX
+
+
 def outlined(meshes: NDArray[np.object_] | None, form: Canonical) -> NDArray[np.object_] | None:
     """The polygons of the meshes of canonical rows; that of a mesh which only moves is there
-    already.
+    already. A row whose mesh is not convex gets a fault.
     """
     if meshes is None:
         return None
     polygons = np.empty(len(meshes), object)
+    mark_not_convex(meshes, form)
     is_mesh = (form.records['kind'] == MESH) & (form.faults == FINE)
     for row in np.flatnonzero(is_mesh).tolist():
         mesh, orientation = meshes[row], form.records['orientation'][row]
