@@ -39,6 +39,8 @@ class Needs(NamedTuple):
         That share a batch.
     moving : bool
         Whether obstacles have velocities.
+    any_mesh : bool
+        Whether meshes may be of any form, not only convex.
     """
 
     planar: bool
@@ -47,6 +49,7 @@ class Needs(NamedTuple):
     batch: bool
     threads: int = 1
     moving: bool = False
+    any_mesh: bool = False
 
 
 class Job(NamedTuple):
@@ -90,8 +93,13 @@ MIDDLE = np.column_stack((NUMBERS, NUMBERS % 5, NUMBERS % 3)).astype(np.float64)
 
 def empty(needs: Needs) -> NodeScene:
     """A scene in which moving obstacles come to rest."""
-    meshes = ShapeKind.MESH in needs.kinds
-    return NodeScene(planar=needs.planar, margin=needs.margin, meshes=meshes, max_prediction=1.0)
+    return NodeScene(
+        planar=needs.planar,
+        margin=needs.margin,
+        meshes=ShapeKind.MESH in needs.kinds,
+        any_mesh=needs.any_mesh,
+        max_prediction=1.0,
+    )
 
 
 def replace(scene: NodeScene, shift: float, numbers: NDArray[np.int64] = NUMBERS) -> None:
@@ -202,7 +210,8 @@ def _batches_of_rays(needs: Needs) -> None:
 
 def _no_shapes(needs: Needs) -> Obstacles:
     """What would hold shapes: where there are none, a scene asks its tree."""
-    return Obstacles(needs.planar, needs.margin, ShapeKind.MESH in needs.kinds, 1)
+    meshes = ShapeKind.MESH in needs.kinds
+    return Obstacles(needs.planar, needs.margin, meshes, 1, needs.any_mesh)
 
 
 # Jobs for sources that predict.
@@ -326,7 +335,8 @@ def _moving(needs: Needs) -> list[tuple[str, float, Callable[[Needs], None]]]:
 def _tells_apart(needs: Needs) -> tuple[int, ...]:
     """What other kernels are compiled by."""
     kinds = map(int, needs.kinds)
-    return needs.planar, needs.margin > 0.0, *kinds, *([-1] if needs.moving else [])
+    more = [*([-1] if needs.moving else []), *([-2] if needs.any_mesh else [])]
+    return needs.planar, needs.margin > 0.0, *kinds, *more
 
 
 def _nearest(needs: Needs) -> None:

@@ -34,7 +34,7 @@ from bvh_ros.ros.world.known_times import known_times
 from bvh_ros.ros.world.large_changes import LargeChanges
 from bvh_ros.ros.world.views import Categoriser, View, create_views, view_of_scan
 from bvh_ros.ros.world.world import ClockJumps, World
-from bvh_ros.scene import NodeScene, ShapeKind
+from bvh_ros.scene import AS_CONVEX, NodeScene, ShapeKind
 
 if TYPE_CHECKING:
     from rclpy.node import Node
@@ -104,6 +104,7 @@ class BvhServer:
             max_obstacles=settings.max_obstacles,
             categorise=Categoriser(settings.views) if settings.views else None,
             meshes=ShapeKind.MESH in kinds,
+            any_mesh=self._any_mesh(),
             region=settings.region,
             max_prediction=settings.max_prediction,
             uncertainty=settings.uncertainty,
@@ -144,6 +145,11 @@ class BvhServer:
         """Return the shapes that the sources can bring."""
         return {kind for s in self.settings.sources for kind in SOURCE_TYPES[s.type].kinds}
 
+    def _any_mesh(self) -> bool:
+        """Whether sources can bring meshes that are not convex."""
+        forms = (source.options.get('meshes', AS_CONVEX) for source in self.settings.sources)
+        return any(form != AS_CONVEX for form in forms)
+
     def compile(self, *, wholly: bool = False) -> None:
         """Compile the kernels that this configuration needs. Where that takes long, only those for
         the first answers, unless `wholly`: the rest is compiled beside the node, while it serves.
@@ -174,6 +180,7 @@ class BvhServer:
             batch=self.settings.batch or bool(self._scan.pose_topic),
             threads=self.settings.threads,
             moving=self.settings.predicts,
+            any_mesh=self._any_mesh(),
         )
 
     def serve(self) -> None:

@@ -17,11 +17,14 @@ from .results import (
     TooManyHitsError,
 )
 from .scene import Scene
-from .shapes.mesh import Mesh, mesh_of
+from .shapes.mesh import AS_CONVEX, AS_SOLID, AS_SURFACE, Mesh, mesh_of
 from .shapes.shape import ShapeKind, Shapes, unchecked_shapes
 from .updates import Part
 
 __all__ = [
+    'AS_CONVEX',
+    'AS_SOLID',
+    'AS_SURFACE',
     'NO_NODE',
     'Block',
     'BoxHits',

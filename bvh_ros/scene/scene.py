@@ -53,6 +53,8 @@ class Scene(RayQueries, OverlapQueries, DistanceQueries, SweepQueries):
         bring its categories along; without it they are 1.
     meshes : bool
         Expect meshes: else the first one makes the kernels of the queries compile anew.
+    any_mesh : bool
+        The same of meshes that are not convex.
     region : (lo, hi), optional
         Corners of a box, shape (2,) or (3,) as the scene is planar or not; may be infinite. Only
         obstacles whose bounds touch it are kept: one that leaves it is removed. Who has a velocity
@@ -89,6 +91,7 @@ class Scene(RayQueries, OverlapQueries, DistanceQueries, SweepQueries):
         max_obstacles: int = 1_000_000,
         categorise: Categorise | None = None,
         meshes: bool = False,
+        any_mesh: bool = False,
         region: tuple[ArrayLike, ArrayLike] | None = None,
         max_prediction: float = math.inf,
         uncertainty: float = 0.0,
@@ -98,7 +101,8 @@ class Scene(RayQueries, OverlapQueries, DistanceQueries, SweepQueries):
             shown = checks.shown_short(given)
             raise ValueError(f'categorise must be callable or None, not {shown}')
         flat, meshes = checks.flag('planar', planar), checks.flag('meshes', meshes)
-        store = Obstacles(flat, margin, meshes, max_obstacles)
+        any_mesh = checks.flag('any_mesh', any_mesh)
+        store = Obstacles(flat, margin, meshes or any_mesh, max_obstacles, any_mesh)
         going = checks.limit('max_prediction', max_prediction)
         store.max_prediction = in_seconds(round(going * 1e9)) if going < FOR_EVER else math.inf
         store.uncertainty = checks.limit('uncertainty', uncertainty)

@@ -17,7 +17,7 @@ from .names import NOBODY, UNKNOWN, Families, Groups, Registry, Slots
 from .results import LAST_NODE_HANDLE, SceneHit
 from .rows import Rows
 from .shapes.footprint import FOOTPRINT, footprints
-from .shapes.hull import NO_HULLS, Hulls, MeshStore, of_one_type
+from .shapes.hull import NO_HULLS, AnyHulls, Hulls, MeshStore, of_one_type
 from .shapes.shape import GEOMETRY, MESH, UNTURNED, Floats, shapes_of
 
 # ---- Long work in another thread, while others have their turn.
@@ -179,7 +179,7 @@ class Columns:
     """(records, hulls), and (footprints, hulls), one of which is None: see `cast.arguments`."""
     bodies: Bodies
 
-    def __init__(self, planar: bool, meshes: bool = False) -> None:
+    def __init__(self, planar: bool, meshes: bool = False, any_mesh: bool = False) -> None:
         self.tree_handle = np.empty(0, np.int64)
         self.node_handle = np.empty(0, np.int64)
         self.geometry = np.empty(0, GEOMETRY)
@@ -193,7 +193,7 @@ class Columns:
         self.shadows = 0  # how many there are
         self.shaped = 0  # how many rows need a narrow phase
         self.meshes = MeshStore()
-        self._expects_meshes = meshes
+        self._expects_meshes, self._expects_any = meshes, any_mesh
         # Pairs of true shapes that overlap queries compared, and those that GJK left open.
         self.pairs_compared = self.pairs_in_more_digits = 0
         self._gather()
@@ -201,16 +201,18 @@ class Columns:
     def _gather(self) -> None:
         """Have at hand what kernels get, after an array or a mesh was replaced."""
         solid, flat = self.geometry, self.footprint
-        hulls = self.hulls = (
-            self.meshes.hulls if self._expects_meshes or self.meshes.by_number else None
-        )
+        hulls = self.meshes.hulls if self._expects_meshes or self.meshes.by_number else None
+        if hulls is not None and self._expects_any:
+            hulls = AnyHulls(*hulls)
+        self.hulls = hulls
         self.shapes = ((solid, hulls), None) if flat is None else (None, (flat, hulls))
         self.bodies = Bodies(solid, flat, hulls, hulls and of_one_type(hulls, NO_HULLS)[1])
 
     def clear(self) -> None:
         """Forget everybody."""
         counts = self.pairs_compared, self.pairs_in_more_digits
-        self.__init__(self.footprint is not None, self._expects_meshes)  # type: ignore[misc]
+        expected = self._expects_meshes, self._expects_any
+        self.__init__(self.footprint is not None, *expected)  # type: ignore[misc]
         self.pairs_compared, self.pairs_in_more_digits = counts
 
     def room_for(self, count: int) -> dict[str, NDArray[Any]]:
@@ -360,11 +362,13 @@ def all_in_seconds(nanoseconds: NDArray[np.longdouble]) -> Floats:
 class Obstacles:
     """What the parts of a scene share."""
 
-    def __init__(self, planar: bool, margin: float, meshes: bool, most: int) -> None:
+    def __init__(
+        self, planar: bool, margin: float, meshes: bool, most: int, any_mesh: bool = False
+    ) -> None:
         self.planar = planar
         self.most = checks.whole('max_obstacles', most, 1)
         self.tree = OpenTree(ndim=2 if planar else 3, margin=margin)
-        self.columns = Columns(planar, meshes)
+        self.columns = Columns(planar, meshes, any_mesh)
         self.change = Change()
         self.registry = Registry()
         self.groups = Groups()

@@ -15,6 +15,7 @@ from bvh_ros.ros.conversions import rotations
 from bvh_ros.ros.conversions.times import nanoseconds
 from bvh_ros.ros.world.frames import FrameError, Transform
 from bvh_ros.scene import (
+    AS_CONVEX,
     Block,
     Families,
     Mesh,
@@ -91,7 +92,7 @@ def table(markers: Sequence[Any]) -> MarkerTable:
 MANY_TRIANGLES = 500  # triangles: more take longer than 10 ms
 
 
-def examined(triangles: Floats, planar: bool) -> Generator[None, None, Mesh]:
+def examined(triangles: Floats, planar: bool, form: str) -> Generator[None, None, Mesh]:
     """Make a mesh of triangles (n, 3, 3) and all that a scene needs of it; pause now and then.
 
     A large one takes a second, most of it in numpy, so another thread examines it.
@@ -99,19 +100,19 @@ def examined(triangles: Floats, planar: bool) -> Generator[None, None, Mesh]:
     Raises
     ------
     ValueError
-        If they are no convex solid.
+        If they are no mesh of that form, as of `mesh_of`.
     """
     if len(triangles) <= MANY_TRIANGLES:
-        mesh = _examine(triangles, planar)
+        mesh = _examine(triangles, planar, form)
         yield
         return mesh
-    return (yield from run_in_thread(_examine, triangles, planar))
+    return (yield from run_in_thread(_examine, triangles, planar, form))
 
 
-def _examine(triangles: Floats, planar: bool) -> Mesh:
-    mesh = mesh_of(triangles)
+def _examine(triangles: Floats, planar: bool, form: str) -> Mesh:
+    mesh = mesh_of(triangles, form)
     # Made when they are first asked for, and kept.
-    _ = mesh.outline if planar else (mesh.tree, mesh.discs)
+    _ = mesh.outline if planar else (mesh.tree, mesh.discs, mesh.seeds)
     return mesh
 
 
@@ -310,6 +311,7 @@ def change(
     latest: int | None = None,
     prefix: str = '',
     planar: bool = False,
+    meshes: str = AS_CONVEX,
 ) -> Generator[None, None, Change]:
     """Read markers; pause now and then, nothing is changed yet.
 
@@ -326,8 +328,10 @@ def change(
         Begins every obstacle's name.
     planar : bool
         Whether the scene is.
+    meshes : str
+        What lists of triangles become, a form of `mesh_of`.
     """
-    reader = _Reader(table, into_node, prefix, planar)
+    reader = _Reader(table, into_node, prefix, planar, meshes)
     reader.refuse_later_than(latest)
     order = order_of(table, reader.faulty)
     reader.faulty[order.wish == NOTHING] = True
@@ -363,11 +367,13 @@ def change(
 class _Reader:
     """Reads one message, stage by stage."""
 
-    def __init__(self, table: MarkerTable, into_node: IntoNode, prefix: str, planar: bool) -> None:
+    def __init__(
+        self, table: MarkerTable, into_node: IntoNode, prefix: str, planar: bool, form: str
+    ) -> None:
         self.table = table
         self.into_node = into_node
         self.names = MarkerNames(table, prefix)
-        self.planar = planar
+        self.planar, self.form = planar, form
         self.faulty = np.zeros(len(table.id), np.bool_)
         self.reasons: dict[int, str] = {}  # of the rows where it is not the type or action
         self.meshes: dict[int, Mesh] = {}
@@ -437,7 +443,7 @@ class _Reader:
                 continue
             try:
                 triangles = points.reshape(-1, 3, 3)
-                self.meshes[row] = yield from examined(triangles, self.planar)
+                self.meshes[row] = yield from examined(triangles, self.planar, self.form)
             except ValueError as error:
                 self.refuse(row, str(error))
                 yield

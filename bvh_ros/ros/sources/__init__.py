@@ -11,7 +11,7 @@ import importlib
 from typing import TYPE_CHECKING, NamedTuple
 
 from bvh_ros.ros.config.parameters import FARTHEST, Option, SourceSettings
-from bvh_ros.scene import ShapeKind
+from bvh_ros.scene import AS_CONVEX, AS_SOLID, AS_SURFACE, ShapeKind
 
 if TYPE_CHECKING:
     from rclpy.node import Node
@@ -46,6 +46,15 @@ def _predict(*choices: str) -> Option:
     return Option('predict', NONE, text, choices=(NONE, *choices))
 
 
+MESHES = Option(
+    'meshes',
+    AS_CONVEX,
+    'What lists of triangles are: convex solids; solids where they are closed, else surfaces; or '
+    'surfaces. Other than convex ones are compiled for at the start.',
+    choices=(AS_CONVEX, AS_SOLID, AS_SURFACE),
+)
+
+
 class SourceType(NamedTuple):
     """Where a type of source is written down, which shapes it brings and its options."""
 
@@ -60,7 +69,7 @@ SOURCE_TYPES = {
         'bvh_ros.ros.sources.marker_array',
         'MarkerArraySource',
         (ShapeKind.BOX, ShapeKind.SPHERE, ShapeKind.CYLINDER, ShapeKind.MESH),
-        (_predict(CONSTANT_VELOCITY), *FOLLOWING),
+        (MESHES, _predict(CONSTANT_VELOCITY), *FOLLOWING),
     ),
     'PointCloud2': SourceType(
         'bvh_ros.ros.sources.point_cloud2',

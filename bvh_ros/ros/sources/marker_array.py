@@ -56,6 +56,7 @@ class MarkerArraySource(Source):
             latest=self._latest(now),
             prefix=self.settings.prefix,
             planar=self.scene.planar,
+            meshes=self.settings.options['meshes'],
         )
         self.is_whole = change.clears
         part = Part(change.names, change.shapes, change.stamp, change.expires)

@@ -562,8 +562,8 @@ def any_surface(triangles: Floats, solid: bool) -> tuple[Surface, bool]:
     extent, largest = float((hi - lo).max()), float(np.maximum(-lo, hi).max())
     if extent > 0.0 and not (extent > SMALLEST_SURFACE and largest < LARGEST_SURFACE):
         raise ValueError(
-            f'a mesh that is not convex must be larger than {SMALLEST_SURFACE} m, and lie within '
-            f'{LARGEST_SURFACE} m'
+            'the mesh is too small or too large: unless it is convex, it must be larger than '
+            f'{SMALLEST_SURFACE} m, and lie within {LARGEST_SURFACE} m'
         )
     first, number = coinciding(given)
     points, corners = given[first], number.reshape(-1, 3)
@@ -797,14 +797,21 @@ def digest(*arrays: NDArray[Any]) -> bytes:
 
 
 _in_use: WeakValueDictionary[bytes, Mesh] = WeakValueDictionary()
+AS_CONVEX, AS_SOLID, AS_SURFACE = 'convex', 'solid', 'surface'  # what `mesh_of` makes
 
 
-def mesh_of(triangles: Floats) -> Mesh:
-    """`Mesh(triangles)`, or the one that was made of them while anything holds it: publishers
+def mesh_of(triangles: Floats, form: str = AS_SOLID) -> Mesh:
+    """A mesh of triangles, or the one that was made of them while anything holds it: publishers
     repeat themselves, and to examine a surface takes far longer than to recognise it.
+
+    `form`: AS_SOLID, solid where it is closed; AS_SURFACE, a shell; AS_CONVEX, a convex solid,
+    with a ValueError that says why it is none.
     """
-    key = digest(triangles)
+    key = digest(triangles, np.array(form == AS_SURFACE))
     mesh = _in_use.get(key)
     if mesh is None:
-        mesh = _in_use[key] = Mesh(triangles)
+        solid = False if form == AS_SURFACE else None
+        mesh = _in_use[key] = Mesh(triangles, solid=solid)
+    if form == AS_CONVEX and not mesh.convex:
+        raise ValueError(mesh.not_convex)
     return mesh

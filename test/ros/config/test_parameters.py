@@ -55,7 +55,7 @@ SOURCE = {'type': NOTHING, 'topic': NOTHING, 'prefix': PREFIX, 'required': FLAG}
 SOURCE |= {'max_age': DURATION}
 PREDICTING = {'predict': NOTHING, 'max_speed': SPEED, 'smoothing': DURATION}
 GROUPS = {
-    'm': SOURCE | PREDICTING,
+    'm': SOURCE | PREDICTING | {'meshes': ('convex', 'solid', 'surface')},
     'c': SOURCE | PREDICTING | {'voxel': SPAN},
     'g': {
         **SOURCE,

@@ -129,10 +129,10 @@ L_SHAPE = np.concatenate([CUBE, CUBE + np.eye(3)[0], CUBE + np.eye(3)[1]])
 )
 def test_what_is_no_convex_solid_is_refused_in_a_sentence(triangles, words):
     with pytest.raises(ValueError, match=words) as refused:
-        Mesh(triangles)
+        mesh_of(triangles, 'convex')
     assert '\n' not in str(refused.value)
     with pytest.raises(ValueError, match=words):
-        Mesh(turned(shuffled(triangles)))
+        mesh_of(turned(shuffled(triangles)), 'convex')
 
 
 def test_a_mesh_that_comes_again_is_recognised_while_it_is_in_use():

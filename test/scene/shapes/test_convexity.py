@@ -10,7 +10,7 @@ from scene.cast.test_surface import CUBE, cut_cube, shuffled, single, turned
 from scene.reference import bulging, icosphere, scene_of
 from scipy.spatial import ConvexHull
 
-from bvh_ros.scene import Mesh, Shapes
+from bvh_ros.scene import Mesh, Shapes, mesh_of
 
 NOISE = 2.0**-22  # of the size: float32 rounds by up to 2**-24 of it
 
@@ -52,7 +52,7 @@ def test_a_surface_that_bends_inwards_a_little_at_a_time_is_refused(segments):
     for angle, turn in ((np.pi / 3, 0.0), (np.pi / 3, 2.0), (0.02, 1.0)):
         for form in (lambda x: x, turned, lambda x: shuffled(single(x))):
             with pytest.raises(ValueError, match=r'not convex at triangle .* m within the hull'):
-                Mesh(form(duct(segments, angle, turn)))
+                mesh_of(form(duct(segments, angle, turn)).astype(np.float64), 'convex')
 
 
 def test_the_depth_of_a_dent_decides():
@@ -67,7 +67,7 @@ def test_the_depth_of_a_dent_decides():
             assert len(Mesh(given).corners) == len(given)
             continue
         with pytest.raises(ValueError, match='not convex') as refused:
-            Mesh(given)
+            mesh_of(given, 'convex')
         told = float(str(refused.value).split('it lies ')[1].split(' m')[0])
         assert told == pytest.approx(depth, rel=0.01, abs=1e-8)
 
@@ -109,7 +109,7 @@ def test_what_is_taken_is_near_its_hull_everywhere():
         samples = np.einsum('sk,mki->msi', shares, given).reshape(-1, 3)
         deepest = depth_within(samples, hull).max()
         try:
-            mesh = Mesh(given)
+            mesh = mesh_of(given, 'convex')
         except ValueError:
             assert deepest > 0.2 * noise
             continue

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scene.reference import box_of_triangles, bulging, scene_of
 
-from bvh_ros.scene import Mesh, Scene, ShapeKind, Shapes
+from bvh_ros.scene import Mesh, Scene, ShapeKind, Shapes, mesh_of
 
 CUBE = box_of_triangles((1, 1, 1))
 
@@ -35,7 +35,7 @@ CUBE = box_of_triangles((1, 1, 1))
 )
 def test_what_is_no_convex_solid_is_refused(triangles, words):
     with pytest.raises(ValueError, match=words):
-        Mesh(triangles)
+        mesh_of(np.asarray(triangles, np.float64), 'convex')
 
 
 def test_a_dent_is_refused_and_float32_is_not():
@@ -46,7 +46,7 @@ def test_a_dent_is_refused_and_float32_is_not():
         np.where((round_one == round_one[0, 0]).all(axis=2, keepdims=True), 0.3, 1) * round_one
     )
     with pytest.raises(ValueError, match='not convex'):
-        Mesh(dented)
+        mesh_of(dented, 'convex')
 
 
 def test_a_row_needs_its_mesh():
