@@ -337,7 +337,9 @@ def source_of():
 
     def make(scene):
         node = SimpleNamespace(get_logger=logging.getLogger, get_clock=lambda: None)
-        settings = SourceSettings('test', 'MarkerArray', 'test', '', False, 0.0, {})
+        settings = SourceSettings(
+            *('test', 'MarkerArray', 'test', '', False, 0.0), {'meshes': 'convex'}
+        )
         source = MarkerArraySource(node, settings, scene, SimpleNamespace(into_node=into_map))
         source.raw = False
         return source

@@ -54,3 +54,44 @@ def test_a_scaled_coloured_mesh_with_triangles_without_area(start_node, messages
     world.until(lambda: world.names('raycast', (20, 0, 0), (30, 0, 0)) == ['a/1'])
     assert world.names('raycast', (0, 0, 0), (9, 0, 0)) == []
     assert world.status('world').values['different meshes'] == '1'
+
+
+# A channel: a floor and two walls, one list of triangles; and a sheet that is open.
+FLOOR, WALL = ((-2, -1, -0.1), (2, 1, 0.1)), ((-2, 0.8, 0.1), (2, 1.0, 1.0))
+SHEET = [(4, -1, 0), (4, 1, 0), (4, 1, 1), (4, -1, 0), (4, 1, 1), (4, -1, 1)]
+
+
+@pytest.mark.parametrize('meshes', ['solid', 'surface'])
+def test_meshes_that_are_not_convex(start_node, messages, meshes):
+    other = tuple((x, -y, z) for x, y, z in WALL)
+    points = [place for ends in (FLOOR, WALL, other) for place in corners_of_box(*ends)]
+    source = {'type': 'MarkerArray', 'topic': 'bvh/obstacles', 'meshes': meshes}
+    world = start_node({'sources': ['markers'], 'markers': source})
+    channel = messages.marker(1, (0, 0, 0), type=TRIANGLE_LIST, points=points)
+    sheet = messages.marker(2, (0, 0, 0), type=TRIANGLE_LIST, points=SHEET)
+    world.markers(channel, sheet)
+    world.until(lambda: world.everything() == {'a/1', 'a/2'})
+    assert world.names('raycast', (-3, 0, 0.5), (3, 0, 0.5)) == []  # through the channel
+    assert world.names('raycast', (-3, 0, 0.5), (5, 0, 0.5)) == ['a/2']
+    assert world.names('raycast', (-3, 0, 0.5), (3, 0, 0.5), tolerance=0.5) == ['a/1']
+    assert world.names('overlap', (-1, -0.5, 0.2), (1, 0.5, 0.9)) == []
+    inside = (-0.1, -0.1, -0.01), (0.1, 0.1, 0.01)  # the floor
+    assert world.names('overlap', *inside) == (['a/1'] if meshes == 'solid' else [])
+    point = 0, 0.5, 0.5
+    world.until(lambda: world.names('nearest', point, point, tolerance=0.4) == ['a/1'])
+    (pose,) = world.plan('nearest', point, point, tolerance=0.4).poses
+    assert pose.pose.position.y == pytest.approx(0.8, abs=1e-6)
+    channel.pose.position.x = 25.0
+    world.markers(channel)
+    world.until(lambda: world.names('raycast', (25, 0.9, 9), (25, 0.9, 0)) == ['a/1'])
+
+
+def corners_of_box(lo, hi):
+    """Three points for each triangle of a box."""
+    ends = np.array((lo, hi))
+    places = np.array([[ends[b, k] for k, b in enumerate(bits)] for bits in np.ndindex(2, 2, 2)])
+    faces = [
+        *((0, 1, 3), (0, 3, 2), (4, 6, 7), (4, 7, 5), (0, 4, 5), (0, 5, 1)),
+        *((2, 3, 7), (2, 7, 6), (0, 2, 6), (0, 6, 4), (1, 5, 7), (1, 7, 3)),
+    ]
+    return [tuple(places[i]) for face in faces for i in face]

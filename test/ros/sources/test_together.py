@@ -74,7 +74,8 @@ def node(ros_context):
 @settings(max_examples=100, deadline=None)
 @given(st.lists(st.lists(serialised, min_size=1, max_size=6), max_size=4))
 def test_several_messages_at_once_are_as_good_as_one_by_one(node, groups):
-    told = SourceSettings('s', 'MarkerArray', 't', '', False, 0.0, {'predict': 'none'})
+    options = {'predict': 'none', 'meshes': 'convex'}
+    told = SourceSettings('s', 'MarkerArray', 't', '', False, 0.0, options)
     frames = Frames('map')
     alone, joined = (create_source(node, told, NodeScene(), frames) for _ in range(2))
     for group in groups:
