@@ -40,6 +40,7 @@ class Polygon:
             corners = corners @ turn[:2, :2].T
         self.vertices: Floats = np.column_stack((corners, np.zeros(len(corners))))
         """(k, 3) corners counter-clockwise, turned, from the centre; z is 0."""
+        self.seeds: Floats = self.vertices[:1]
         self.key = digest(self.vertices)
         """The same for equal polygons."""
 

@@ -106,7 +106,7 @@ class _Joined:
             mesh.corners,
             mesh.normals,
             nodes,
-            mesh.vertices[:1] if mesh.form == CONVEX else mesh.seeds,
+            mesh.seeds,
         )
         places = [column.append(rows) for column, rows in zip(self._columns, given, strict=True)]
         span = self._spans[number]

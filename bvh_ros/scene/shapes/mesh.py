@@ -584,7 +584,10 @@ def any_surface(triangles: Floats, solid: bool) -> tuple[Surface, bool]:
     used, number = np.unique(corners[rows], return_inverse=True)
     corners = number.reshape(-1, 3)
     vertices = points[used]
-    normals = _planes(vertices, corners)[0]
+    one, two, three = (vertices[corners[:, k]] / extent for k in range(3))
+    normals = np.cross(two - one, three - one)  # as they are wound
+    length = np.linalg.norm(normals, axis=1, keepdims=True)
+    normals /= np.where(length > 0.0, length, 1.0)
     return Surface(vertices, corners, rows, normals), not len(odd)
 
 
@@ -778,6 +781,8 @@ class Mesh:
     @cached_property
     def seeds(self) -> Floats:
         """(k, 3) a corner of each part whose triangles hang together."""
+        if self.convex:
+            return self.vertices[:1]
         from scipy.sparse import coo_matrix
         from scipy.sparse.csgraph import connected_components
 

@@ -41,7 +41,7 @@ class Near(NamedTuple):
     k: int
     reach: float
     """The largest distance."""
-    mask: np.uint32
+    mask: int | np.uint32
 
 
 class Best(NamedTuple):

@@ -53,7 +53,7 @@ def test_a_scaled_coloured_mesh_with_triangles_without_area(start_node, messages
     world.markers(solid)
     world.until(lambda: world.names('raycast', (20, 0, 0), (30, 0, 0)) == ['a/1'])
     assert world.names('raycast', (0, 0, 0), (9, 0, 0)) == []
-    assert world.status('world').values['different meshes'] == '1'
+    world.until(lambda: world.status('world').values['different meshes'] == '1')
 
 
 # A channel: a floor and two walls, one list of triangles; and a sheet that is open.
