@@ -40,7 +40,10 @@ def test_shapes_and_meshes_tell_what_they_are() -> None:
         'Shapes(2 boxes, 1 sphere, 1 cylinder)'
     )
     assert repr(Shapes.spheres([], 1)) == 'Shapes(none)'
-    assert repr(Mesh(box_of_triangles((1, 2, 0.5)))) == 'Mesh(12 triangles, 1 x 2 x 0.5 m)'
+    assert (
+        repr(Mesh(box_of_triangles((1, 2, 0.5))))
+        == 'Mesh(convex solid of 12 triangles, 1 x 2 x 0.5 m)'
+    )
 
 
 def test_forests_tell_where_they_are(tmp_path: Path) -> None:
