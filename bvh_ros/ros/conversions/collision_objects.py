@@ -127,18 +127,18 @@ class CollisionObjects:
         self.operations = columns.numbers(f'{prefix}operation')[:, 0].tolist()
         self.stamps = columns.stamps(f'{prefix}header.stamp')
         self._frame_ids = columns.texts(f'{prefix}header.frame_id')
-        self._places = columns.numbers(f'{prefix}pose')
+        self._own_poses = columns.numbers(f'{prefix}pose')
         self._planes = columns.counts(f'{prefix}planes')
         solids, surfaces = _solids(columns, prefix), _surfaces(columns, prefix)
         self._solids = Each.of(columns.counts(f'{prefix}primitives'), solids)
         self._meshes = Each.of(columns.counts(f'{prefix}meshes'), surfaces)
         names = 'primitive_poses', 'mesh_poses'
-        self._poses = [Each.read(columns, f'{prefix}{name}') for name in names]
+        self._part_poses = [Each.read(columns, f'{prefix}{name}') for name in names]
         self._take_poses_of_single_parts()
-        for each in self._poses:
+        for each in self._part_poses:
             each.rows[:, 3:] = rotations.normalised_if_near(each.rows[:, 3:])
-        solids['place'] = _places(self._solids, self._poses[0])
-        surfaces['place'] = _places(self._meshes, self._poses[1])
+        solids['pose'] = _poses_of(self._solids, self._part_poses[0])
+        surfaces['pose'] = _poses_of(self._meshes, self._part_poses[1])
         solids['fault'] = _faults(solids)
 
     def _take_poses_of_single_parts(self) -> None:
@@ -146,11 +146,11 @@ class CollisionObjects:
         later move replaces it.
         """
         counts = np.array((self._solids.counts, self._meshes.counts))
-        unset = (self._places == UNMOVED).all(axis=1) | ~self._places.any(axis=1)
+        unset = (self._own_poses == UNMOVED).all(axis=1) | ~self._own_poses.any(axis=1)
         for row in np.flatnonzero(unset & (counts.sum(axis=0) == 1)).tolist():
-            poses = self._poses[int(counts[1, row])]
+            poses = self._part_poses[int(counts[1, row])]
             if poses.counts[row] == 1:
-                self._places[row] = poses.rows[poses.first[row]]
+                self._own_poses[row] = poses.rows[poses.first[row]]
                 poses.rows[poses.first[row]] = UNMOVED
 
     def places(
@@ -160,8 +160,8 @@ class CollisionObjects:
         numbers = {name: number for number, name in enumerate(dict.fromkeys(self._frame_ids))}
         frame = np.array([numbers[name] for name in self._frame_ids], np.int64)
         placing = Placing(list(numbers), frame, self.stamps, into_node)
-        at, turns = self._places[:, :3].copy(), self._places[:, 3:]
-        bad = ~np.isfinite(self._places).all(axis=1) | rotations.are_off(turns)
+        at, turns = self._own_poses[:, :3].copy(), self._own_poses[:, 3:]
+        bad = ~np.isfinite(self._own_poses).all(axis=1) | rotations.are_off(turns)
         # A pose gets there as a shape does.
         frames = np.arange(len(frame))
         poses = unchecked_shapes(frames, at, rotations.normalised(turns), at)
@@ -182,7 +182,7 @@ class CollisionObjects:
             raise ValueError('it has a plane, which goes on for ever')
         solids = self._solids.rows[self._solids.span(row)]
         meshes = self._meshes.rows[self._meshes.span(row)]
-        for poses, parts in zip(self._poses, (solids, meshes), strict=True):
+        for poses, parts in zip(self._part_poses, (solids, meshes), strict=True):
             if poses.counts[row] > len(parts):
                 raise ValueError(f'it has {poses.counts[row]} poses for {len(parts)} parts')
         if not len(solids) + len(meshes):
@@ -190,8 +190,8 @@ class CollisionObjects:
         if solids['fault'].any():
             part = int(np.argmax(solids['fault'] != FINE))
             raise ValueError(f'part {part}: {_reason(solids[part])}')
-        place = solids['place']
-        shapes = unchecked_shapes(solids['kind'], place[:, :3], place[:, 3:], solids['size'])
+        pose = solids['pose']
+        shapes = unchecked_shapes(solids['kind'], pose[:, :3], pose[:, 3:], solids['size'])
         if len(meshes) or (shapes.kind == ShapeKind.MESH).any():
             return (yield from _with_meshes(shapes, meshes, planar))
         return shapes
@@ -205,7 +205,7 @@ class CollisionObjects:
         ValueError
             If not every part has a pose, or one is none.
         """
-        given = np.concatenate([each.rows[each.span(row)] for each in self._poses])
+        given = np.concatenate([each.rows[each.span(row)] for each in self._part_poses])
         parts, turns = body.parts, rotations.normalised(given[:, 3:])
         if len(given) not in (0, len(parts.kind)):
             raise ValueError(f'it has {len(given)} poses for {len(parts.kind)} parts')
@@ -223,22 +223,22 @@ def place_of(pose: Floats) -> Transform:
     return Transform(pose[:3], rotations.normalised(pose[3:]))
 
 
-def _places(parts: Each, poses: Each) -> Floats:
+def _poses_of(parts: Each, poses: Each) -> Floats:
     """A pose (p, 7) for each part; where none is given, it is the object's."""
-    places = np.tile(UNMOVED, (len(parts.rows), 1))
+    found = np.tile(UNMOVED, (len(parts.rows), 1))
     row = np.repeat(np.arange(len(parts.counts)), parts.counts)
     number = np.arange(len(row)) - parts.first[row]
     given = number < poses.counts[row]
-    places[given] = poses.rows[poses.first[row[given]] + number[given]]
-    return places
+    found[given] = poses.rows[poses.first[row[given]] + number[given]]
+    return found
 
 
 # ---- Primitives.
 
 SOLID = np.dtype(
     [
-        *(('type', 'u1'), ('given', 'i8'), ('kind', 'u1'), ('size', 'f8', (3,))),
-        *(('place', 'f8', (7,)), ('fault', 'u1')),
+        *(('type', 'u1'), ('dimensions', 'i8'), ('kind', 'u1'), ('size', 'f8', (3,))),
+        *(('pose', 'f8', (7,)), ('fault', 'u1')),
     ]
 )
 BAD_TYPE, BAD_DIMENSIONS = 254, 255  # faults besides those of shapes
@@ -249,18 +249,15 @@ def _solids(columns: Columns, prefix: str) -> NDArray[np.void]:
     types = columns.numbers(f'{prefix}primitives.type')[:, 0]
     given = Each.read(columns, f'{prefix}primitives.dimensions')
     solids = np.zeros(len(types), SOLID)
-    solids['type'], solids['given'] = types, given.counts
+    solids['type'], solids['dimensions'] = types, given.counts
     one, two, three = np.zeros((3, len(solids)))
     for number, dimension in enumerate((one, two, three)):
         has = given.counts > number
         dimension[has] = given.rows[given.first[has] + number, 0]
-    # A cylinder or cone has its height first.
-    sizes = {
-        BOX: (one, two, three),
-        SPHERE: (2.0 * one,) * 3,
-        CYLINDER: (2.0 * two, 2.0 * two, one),
-        CONE: (2.0 * two, 2.0 * two, one),
-    }
+    with np.errstate(over='ignore'):  # infinite: refused
+        across, wide = 2.0 * one, 2.0 * two
+    upright = wide, wide, one  # a cylinder or cone has its height first
+    sizes = {BOX: (one, two, three), SPHERE: (across,) * 3, CYLINDER: upright, CONE: upright}
     for kind, size in sizes.items():
         rows = solids['type'] == kind
         solids['kind'][rows] = KINDS[kind]
@@ -271,11 +268,11 @@ def _solids(columns: Columns, prefix: str) -> NDArray[np.void]:
 def _faults(solids: NDArray[np.void]) -> NDArray[np.uint8]:
     """Why primitives cannot be used."""
     kinds = np.where(solids['type'] == CONE, ShapeKind.CYLINDER, solids['kind'])
-    at, turn = solids['place'][:, :3], solids['place'][:, 3:]
+    at, turn = solids['pose'][:, :3], solids['pose'][:, 3:]
     shapes = unchecked_shapes(kinds.astype(np.uint8), at, turn, solids['size'])
     faults = canonicalise(as_shapes(shapes)).faults
     wanted = np.array([DIMENSIONS.get(kind, 0) for kind in range(256)])[solids['type']]
-    faults[wanted != solids['given']] = BAD_DIMENSIONS
+    faults[wanted != solids['dimensions']] = BAD_DIMENSIONS
     faults[wanted == 0] = BAD_TYPE
     return faults
 
@@ -287,15 +284,13 @@ def _reason(solid: Any) -> str:
         what = 'a PRISM' if kind == PRISM else f'of type {kind}'
         return f'it is {what}, not a BOX, SPHERE, CYLINDER or CONE'
     if fault == BAD_DIMENSIONS:
-        return f'it has {solid["given"]} dimensions, not {DIMENSIONS[kind]}'
+        return f'it has {solid["dimensions"]} dimensions, not {DIMENSIONS[kind]}'
     return REASONS[fault]
 
 
 # ---- Meshes.
 
-SURFACE = np.dtype([('corners', 'O'), ('vertices', 'O'), ('place', 'f8', (7,))])
-
-
+SURFACE = np.dtype([('corners', 'O'), ('vertices', 'O'), ('pose', 'f8', (7,))])
 Surface = tuple[NDArray[np.uint32], Floats]  # corners (m, 3) of triangles by number; vertices
 
 
@@ -325,9 +320,9 @@ def _with_meshes(
     solids: Shapes, surfaces: NDArray[np.void], planar: bool
 ) -> Generator[None, None, Shapes]:
     """Examine surfaces, and cones among the solids; ValueError if one cannot be used."""
-    place, count = surfaces['place'], len(surfaces)
+    pose, count = surfaces['pose'], len(surfaces)
     kind, size = np.full(count, ShapeKind.MESH, np.uint8), np.zeros((count, 3))
-    shapes = joined((solids, unchecked_shapes(kind, place[:, :3], place[:, 3:], size)))
+    shapes = joined((solids, unchecked_shapes(kind, pose[:, :3], pose[:, 3:], size)))
     mesh = np.empty(len(shapes.kind), object)
     for part in np.flatnonzero(shapes.kind == ShapeKind.MESH).tolist():
         number = part - len(solids.kind)

@@ -133,8 +133,9 @@ def create_source(
     try:
         source_class = getattr(importlib.import_module(kind.module), kind.class_name)
     except ImportError as error:
+        package = (error.name or kind.module).partition('.')[0]
         raise ConfigurationError(
-            f"source '{settings.name}': messages of type {settings.type} cannot be read here: "
+            f"source '{settings.name}' needs {package}, which cannot be imported here: "
             f'{as_line(error)}'
         ) from error
     source: Source = source_class(node, settings, scene, frames)

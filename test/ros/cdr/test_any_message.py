@@ -18,7 +18,7 @@ from shape_msgs.msg import SolidPrimitive
 from trajectory_msgs.msg import MultiDOFJointTrajectory, MultiDOFJointTrajectoryPoint
 from visualization_msgs.msg import Marker, MarkerArray
 
-from bvh_ros.ros.cdr.any_message import Columns, plan_of
+from bvh_ros.ros.cdr.any_message import Columns, exercise, gather, plan_of, walk
 
 numbers = st.floats(width=64)
 texts = st.text(st.characters(exclude_characters='\0', exclude_categories=['Cs']), max_size=9)
@@ -139,3 +139,12 @@ def test_a_text_with_a_zero_inside_is_refused_where_it_is_wanted():
 def test_a_field_that_there_is_not_is_named():
     with pytest.raises(ValueError, match=r"PoseStamped is defined here without 'header.seq'"):
         plan_of(PoseStamped, ('header.seq',))
+
+
+def test_the_kernels_are_compiled_once():
+    """What a node compiles at its start is what every message needs."""
+    exercise()
+    for big_endian in (False, True):
+        columns = Columns(encode(some_markers(2), big_endian), MARKERS)
+        assert columns.numbers('markers.points').tolist() == [[0.0, 1.0, 0.0]]
+    assert len(walk.signatures) == len(gather.signatures) == 1

@@ -12,7 +12,7 @@ import struct
 import numpy as np
 import pytest
 
-from bvh_ros.ros.conversions.octomap import Octree, boxes
+from bvh_ros.ros.conversions.octomap import Octree, boxes, exercise, walk
 
 FREE, OCCUPIED = 'free', 'occupied'
 CUBES = [*itertools.product((0, 1), repeat=3)]
@@ -168,3 +168,11 @@ def test_whatever_the_data_are_nothing_is_read_beyond_them():
         else:
             assert (np.abs(shapes.position) + 0.5 * shapes.size <= 32768 * 0.25).all()
     assert refused > 100
+
+
+def test_the_kernel_is_compiled_once():
+    """What a node compiles at its start is what every map needs."""
+    exercise()
+    for data, is_binary in ((full(TREE), False), (binary(TREE), True)):
+        assert len(read(data, binary=is_binary).kind) == 3
+    assert len(walk.signatures) == 1

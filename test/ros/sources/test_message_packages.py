@@ -504,3 +504,30 @@ def test_more_leaves_than_obstacles_may_be_are_refused(heard):
     it.hear(octomap(b'\xaa\xaa'))
     assert 'has 8 occupied leaves, more than 7' in it.source.refused.last
     assert it.names == set()
+
+
+# ---- All of them in a node.
+
+
+@pytest.mark.slow
+def test_a_node_that_hears_all_of_them(start_node):
+    types = 'Detection3DArray', 'CollisionObject', 'PlanningScene', 'Octomap'
+    sources = {name: {'type': name, 'topic': name} for name in types}
+    sources['PlanningScene'] |= {'required': True}
+    world = start_node({'sources': [*types], **sources})
+    said = world.names('raycast', (0, 0, 0), (1, 0, 0))
+    assert "'PlanningScene' has not spoken yet" in said[0]
+    world.publish('Detection3DArray', detections(detection('car', ((0, 9, 0), UNTURNED))))
+    world.publish('CollisionObject', collision_object('cup', **box((5, 0, 0))))
+    world.publish('CollisionObject', collision_object('cup', **WRONG['it has no parts']))
+    world.publish('PlanningScene', planning_scene(two('table', place=((0, 5, 0), UNTURNED))))
+    world.publish('Octomap', octomap())
+    expected = {'car', 'cup/0', 'table/0', 'table/1', 'Octomap#0'}
+    world.until(lambda: world.everything() == expected)
+    assert world.names('raycast', (5, -9, 0), (5, 9, 0)) == ['cup/0']
+    world.publish('CollisionObject', collision_object('cup', MOVE, place=((7, 0, 0), UNTURNED)))
+    world.until(lambda: world.names('raycast', (7, -9, 0), (7, 9, 0)) == ['cup/0'])
+    assert world.names('raycast', (5, -9, 0), (5, 9, 0)) == []
+    values = world.status('source CollisionObject').values
+    assert values['refused'] == '1'
+    assert values['last reason'] == "'cup': it has no parts"
