@@ -179,7 +179,7 @@ def _full(tree: Octree, occupied_at: float) -> Records:
         raise ValueError(f"a full map is read if it is one of {known}, not '{tree.kind[:80]}'")
     fields = [('odds', '<f4'), ('colour', 'u1', (COLOURS[tree.kind],)), ('children', 'u1')]
     records = _records(tree.data, np.dtype(fields))
-    inner, odds = np.ascontiguousarray(records['children']), records['odds']
+    inner, odds = records['children'].copy(), records['odds']
     leaf = inner == 0
     if np.isnan(odds[leaf]).any():
         raise ValueError('the log odds of a leaf are NaN')
