@@ -140,6 +140,9 @@ class CollisionObjects:
         solids['pose'] = _poses_of(self._solids, self._part_poses[0])
         surfaces['pose'] = _poses_of(self._meshes, self._part_poses[1])
         solids['fault'] = _faults(solids)
+        self._are_plain = self._meshes.counts == 0  # objects of boxes, spheres and cylinders
+        of = np.repeat(np.arange(len(self.ids)), self._solids.counts)
+        self._are_plain[of[(solids['fault'] != FINE) | (solids['kind'] == ShapeKind.MESH)]] = False
 
     def _take_poses_of_single_parts(self) -> None:
         """Where only the pose of the only part is given, it is the object's, as for MoveIt: a
@@ -187,14 +190,13 @@ class CollisionObjects:
                 raise ValueError(f'it has {poses.counts[row]} poses for {len(parts)} parts')
         if not len(solids) + len(meshes):
             raise ValueError('it has no parts')
-        if solids['fault'].any():
-            part = int(np.argmax(solids['fault'] != FINE))
-            raise ValueError(f'part {part}: {_reason(solids[part])}')
         pose = solids['pose']
         shapes = unchecked_shapes(solids['kind'], pose[:, :3], pose[:, 3:], solids['size'])
-        if len(meshes) or (shapes.kind == ShapeKind.MESH).any():
-            return (yield from _with_meshes(shapes, meshes, planar))
-        return shapes
+        if self._are_plain[row]:
+            return shapes
+        for part in np.flatnonzero(solids['fault'] != FINE).tolist():
+            raise ValueError(f'part {part}: {_reason(solids[part])}')
+        return (yield from _with_meshes(shapes, meshes, planar))
 
     def moved(self, row: int, body: Body, place: Transform, stamp: int) -> Body:
         """Return a body at another place; its parts stay where they are in it, if they are given
