@@ -81,8 +81,8 @@ def pose(at=(0, 0, 0), turn=UNTURNED):
     return found
 
 
-def random_pose():
-    return RNG.uniform(-5, 5, 3), Rotation.random(random_state=RNG).as_quat()
+def random_pose(rng=RNG):
+    return rng.uniform(-5, 5, 3), Rotation.random(random_state=rng).as_quat()
 
 
 def after(second, first):
@@ -92,9 +92,15 @@ def after(second, first):
     return turn.apply(first[0]) + second[0], both.as_quat()
 
 
+def inverse(place):
+    """The way back."""
+    turn = Rotation.from_quat(place[1]).inv()
+    return -turn.apply(place[0]), turn.as_quat()
+
+
 def stands(obstacle, place, size):
     """Whether an obstacle has this place (position and quaternion) and size."""
-    np.testing.assert_allclose(obstacle.position, place[0], atol=1e-12)
+    np.testing.assert_allclose(obstacle.position, place[0], atol=1e-9)
     np.testing.assert_allclose(obstacle.size, size, rtol=1e-12)
     if obstacle.kind != ShapeKind.SPHERE:
         turned = Rotation.from_quat(obstacle.orientation).inv() * Rotation.from_quat(place[1])
@@ -427,6 +433,41 @@ def test_a_scene_is_read_in_order(heard):
     ]
     assert it.hear(planning_scene(*steps, diff=True)) == []
     assert places(it) == {'p.a/0': (0, 8, 0)}
+
+
+@pytest.mark.parametrize('seed', range(5))
+def test_any_operations_leave_what_one_after_another_leaves(heard, seed):
+    it, world, rng = heard('PlanningScene'), {}, np.random.default_rng(seed)
+    for _ in range(30):
+        steps = []
+        for _ in range(rng.integers(4)):
+            name, operation, place = 'abc'[rng.integers(3)], int(rng.integers(4)), random_pose(rng)
+            count = rng.integers(1, 4)
+            parts = [(random_pose(rng), rng.uniform(0.1, 2, 3)) for _ in range(count)]
+            if operation == REMOVE:
+                world.pop(name, None)
+            elif operation == ADD or (operation == APPEND and name not in world):
+                world[name] = place, parts
+            elif operation == APPEND:
+                back = after(inverse(world[name][0]), place)
+                world[name][1].extend((after(back, local), size) for local, size in parts)
+            elif name in world:
+                world[name], parts = (place, world[name][1]), []
+            else:
+                continue
+            solids = [solid(BOX, *size) for _, size in parts]
+            poses = [pose(*local) for local, _ in parts]
+            given = {'primitives': solids, 'primitive_poses': poses, 'place': place}
+            steps.append(collision_object(name, operation, **given))
+        assert it.hear(planning_scene(*steps, diff=True)) == []
+        expected = {
+            f'p.{name}/{k}': (after(place, local), size)
+            for name, (place, parts) in world.items()
+            for k, (local, size) in enumerate(parts)
+        }
+        assert it.names == expected.keys()
+        for name, (place, size) in expected.items():
+            stands(it.scene.get(name), place, size)
 
 
 def test_what_cannot_be_used_stays_even_if_the_scene_is_whole(heard):
