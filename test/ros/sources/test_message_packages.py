@@ -8,9 +8,15 @@ import numpy as np
 import pytest
 
 pytest.importorskip('rclpy', reason='rclpy is not installed', exc_type=ImportError)
-pytest.importorskip('moveit_msgs.msg', reason='pip install ./test/ros/sources/messages')
-pytest.importorskip('octomap_msgs.msg', reason='pip install ./test/ros/sources/messages')
-pytest.importorskip('vision_msgs.msg', reason='pip install ./test/ros/sources/messages')
+pytest.importorskip(
+    'moveit_msgs.msg', reason='no moveit_msgs: pip install ./test/ros/sources/messages'
+)
+pytest.importorskip(
+    'octomap_msgs.msg', reason='no octomap_msgs: pip install ./test/ros/sources/messages'
+)
+pytest.importorskip(
+    'vision_msgs.msg', reason='no vision_msgs: pip install ./test/ros/sources/messages'
+)
 
 import rclpy
 from geometry_msgs.msg import Point, Pose
