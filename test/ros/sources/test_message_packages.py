@@ -32,6 +32,7 @@ from bvh_ros.ros.sources import SOURCE_TYPES, create_source
 from bvh_ros.ros.world.frames import Frames, TransformSettings
 from bvh_ros.scene import NodeScene, ShapeKind
 
+TYPES = 'Detection3DArray', 'CollisionObject', 'PlanningScene', 'Octomap'
 BOX, SPHERE, CYLINDER, CONE, PRISM = range(1, 6)
 ADD, REMOVE, APPEND, MOVE = range(4)
 LIDAR = (1.0, 2.0, 3.0), (0.0, 0.0, math.sqrt(0.5), math.sqrt(0.5))
@@ -553,15 +554,48 @@ def test_more_leaves_than_obstacles_may_be_are_refused(heard):
     assert it.names == set()
 
 
+# ---- Bytes from anywhere.
+
+
+def samples():
+    """A message of each type, with all that it may have."""
+    parts = {'primitives': [solid(CONE, 1, 1), solid(BOX, 1, 1, 1)], 'meshes': [mesh()]}
+    thing = collision_object('a', **parts, primitive_poses=[pose((5, 0, 9))])
+    full = np.array([(0.0, 3), (1.0, 0), (-1.0, 0)], [('odds', '<f4'), ('children', 'u1')])
+    tree = octomap(full.tobytes(), binary=False)
+    scene = planning_scene(thing, two('b'), diff=True, attached=[two('c')], tree=tree)
+    return {
+        'Detection3DArray': detections(detection('a'), detection('b', frame='lidar')),
+        'CollisionObject': thing,
+        'PlanningScene': scene,
+        'Octomap': tree,
+    }
+
+
+@pytest.mark.parametrize(
+    'kind', ['Detection3DArray', 'CollisionObject', 'PlanningScene', 'Octomap']
+)
+def test_damaged_bytes_are_refused_or_understood(heard, kind):
+    it, whole, rng = heard(kind), serialize_message(samples()[kind]), np.random.default_rng(2)
+    for now in range(1, 400):
+        data = bytearray(whole)
+        for _ in range(rng.integers(1, 4)):
+            at = int(rng.integers(4, len(data)))
+            data[at : at + 4] = rng.bytes(4) if rng.random() < 0.5 else bytes(4)
+        it.source.apply_now(bytes(data[: rng.integers(4, 2 * len(data))]), now)
+        assert not it.source.refused.last.startswith('internal error'), it.source.refused.last
+    assert it.source.refused.count > 40
+    it.scene.validate()
+
+
 # ---- All of them in a node.
 
 
 @pytest.mark.slow
 def test_a_node_that_hears_all_of_them(start_node):
-    types = 'Detection3DArray', 'CollisionObject', 'PlanningScene', 'Octomap'
-    sources = {name: {'type': name, 'topic': name} for name in types}
+    sources = {name: {'type': name, 'topic': name} for name in TYPES}
     sources['PlanningScene'] |= {'required': True}
-    world = start_node({'sources': [*types], **sources})
+    world = start_node({'sources': [*TYPES], **sources})
     said = world.names('raycast', (0, 0, 0), (1, 0, 0))
     assert "'PlanningScene' has not spoken yet" in said[0]
     world.publish('Detection3DArray', detections(detection('car', ((0, 9, 0), UNTURNED))))
