@@ -28,8 +28,8 @@ class Changes:
     ----------
     bodies : dict of str to Body
         By the ids of the objects, as they are in the end.
-    touched : set of str
-        Ids of the bodies that came, changed or went.
+    touched : dict
+        Its keys are the ids of the bodies that came, changed or went, in order.
     whole : bool
         Whether nothing is left of the bodies before, but for what is among `bodies`.
     refusals : list of Refusal
@@ -39,7 +39,7 @@ class Changes:
     def __init__(self, known: dict[str, Body]) -> None:
         self.known = known
         self.bodies = dict(known)
-        self.touched: set[str] = set()
+        self.touched: dict[str, None] = {}
         self.whole = False
         self.refusals: list[Refusal] = []
 
@@ -50,12 +50,12 @@ class Changes:
     def put(self, name: str, body: Body) -> None:
         """Let a body come, or take the place of the one before."""
         self.bodies[name] = body
-        self.touched.add(name)
+        self.touched[name] = None
 
     def remove(self, name: str) -> None:
         """Let a body go, if there is one."""
         self.bodies.pop(name, None)
-        self.touched.add(name)
+        self.touched[name] = None
 
     def refuse(self, row: int, name: str, reason: str) -> None:
         """Keep the body as it was before the message."""
@@ -118,7 +118,7 @@ class BodiesSource(ColumnsSource):
             np.array([body.stamp for body in rows.values()], np.int64), list(sizes.values())
         )
         part = Part(names, objects.placed([*rows.values()]), stamps)
-        gone = changes.touched & known.keys()
+        gone = changes.touched.keys() & known.keys()
         self._bodies = bodies
         self.is_whole = changes.whole
         if changes.whole:
