@@ -11,7 +11,7 @@ from __future__ import annotations
 import argparse
 import os
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from itertools import product
 from pathlib import Path
@@ -76,8 +76,9 @@ def _compile(parameters: Path | None) -> None:
 
 def _everything() -> Iterator[Job]:
     """What any node may need, and a tree alone."""
-    from bvh_ros.ros.cdr import marker_array
+    from bvh_ros.ros.cdr import any_message, marker_array
     from bvh_ros.ros.compile_jobs import Job, Needs, jobs, later_jobs, path_jobs, use_tree
+    from bvh_ros.ros.conversions import octomap
     from bvh_ros.scene import ShapeKind
 
     every = ShapeKind.BOX, ShapeKind.SPHERE, ShapeKind.CYLINDER, ShapeKind.MESH
@@ -92,8 +93,13 @@ def _everything() -> Iterator[Job]:
         tree = Job('tree', f'tree {planar}', 10.0, partial(use_tree, 2 if planar else 3))
         first[planar, tree.name] = tree
     yield from first.values()
-    decode = 'decode markers'
-    yield Job(decode, decode, 2.0, partial(marker_array.read, marker_array.EMPTY))
+    decoders: dict[str, Callable[[], object]] = {
+        'decode markers': partial(marker_array.read, marker_array.EMPTY),
+        'decode messages': any_message.exercise,
+        'decode octrees': octomap.exercise,
+    }
+    for name, decode in decoders.items():
+        yield Job(name, name, 2.0, decode)
     yield from again
 
 

@@ -5,15 +5,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Generator, Sequence
-from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bvh_ros.ros.conversions import rotations
+from bvh_ros.ros.conversions.placing import IntoNode, Placing
 from bvh_ros.ros.conversions.times import nanoseconds
-from bvh_ros.ros.world.frames import FrameError, Transform
+from bvh_ros.ros.world.frames import Transform
 from bvh_ros.scene import (
     AS_CONVEX,
     Block,
@@ -283,9 +283,8 @@ _KINDS = np.zeros(12, np.uint8)
 for _kinds in (SINGLE_SHAPES, LISTED_SHAPES):
     _KINDS[list(_kinds)] = list(_kinds.values())
 TOO_FAR_AHEAD = 'its stamp is too far in the future'
-AT_A_TIME = 256  # lists or frames between two pauses
+AT_A_TIME = 256  # lists between two pauses
 ELEMENTS = 8192  # between two pauses
-IntoNode = Callable[[str, int], 'Transform | None']
 
 
 class Change(NamedTuple):
@@ -371,16 +370,13 @@ class _Reader:
         self, table: MarkerTable, into_node: IntoNode, prefix: str, planar: bool, form: str
     ) -> None:
         self.table = table
-        self.into_node = into_node
         self.names = MarkerNames(table, prefix)
         self.planar, self.form = planar, form
         self.faulty = np.zeros(len(table.id), np.bool_)
         self.reasons: dict[int, str] = {}  # of the rows where it is not the type or action
         self.meshes: dict[int, Mesh] = {}
         self.points: dict[int, Floats] = {}  # of lists
-        self.moved: Mask | None = None  # rows in other frames
-        self.shift = np.zeros((0, 3))
-        self.turn = np.zeros((0, 4))
+        self.placing = Placing(table.frame_ids, table.frame, table.stamp, into_node)
 
     def refuse(self, row: int, reason: str) -> None:
         self.faulty[row] = True
@@ -396,43 +392,10 @@ class _Reader:
 
     def find_frames(self, good: Mask) -> Generator[None, None, None]:
         """Look up how markers get into the node's frame; refuse those that cannot."""
-        table, rows = self.table, np.flatnonzero(good)
-        frame, stamp = table.frame[rows], table.stamp[rows]
-        own = np.zeros(len(table.frame_ids), np.bool_)  # whatever the time
-        order = np.lexsort((stamp, frame))
-        moves = np.ones(len(rows), np.bool_)
-        for given in (frame[order], stamp[order]):
-            moves[1:] &= given[1:] == given[:-1]
-        moves[1:] = ~moves[1:]
-        ends = [*moves.nonzero()[0].tolist(), len(rows)]
-        for place, (begin, end) in enumerate(pairwise(ends)):
-            if place % AT_A_TIME == AT_A_TIME - 1:
-                yield
-            group = rows[order[begin:end]]  # of one frame and one stamp
-            frame_number = int(table.frame[group[0]])
-            if own[frame_number]:
-                continue
-            try:
-                transform = self.into_node(
-                    table.frame_ids[frame_number], int(table.stamp[group[0]])
-                )
-            except FrameError as error:
-                self.faulty[group] = True
-                good[group] = False
-                self.reasons.update(dict.fromkeys(group.tolist(), str(error)))
-                continue
-            if transform is None:
-                own[frame_number] = True
-            else:
-                self._note_transform(group, transform)
-
-    def _note_transform(self, rows: Integers, transform: Transform) -> None:
-        if self.moved is None:
-            count = len(self.faulty)
-            self.moved = np.zeros(count, np.bool_)
-            self.shift, self.turn = np.zeros((count, 3)), np.zeros((count, 4))
-        self.moved[rows] = True
-        self.shift[rows], self.turn[rows] = transform.translation, transform.rotation
+        reasons = yield from self.placing.find(np.flatnonzero(good))
+        for row, reason in reasons.items():
+            self.refuse(row, reason)
+        good[list(reasons)] = False
 
     def make_meshes(self, rows: Integers) -> Generator[None, None, None]:
         """Examine lists of triangles, three points each; scale multiplies them."""
@@ -495,8 +458,7 @@ class _Reader:
                 given[at] = mesh = self.meshes[int(of[at])]
                 shapes.kind[at], shapes.size[at] = ShapeKind.MESH, mesh.size
             shapes = shapes._replace(mesh=given)
-        if self.moved is not None:
-            yield from self._move(shapes, of)
+        yield from self.placing.move(shapes, of)
         return shapes
 
     def _placed(self, rows: Integers, of: Integers) -> Generator[None, None, Shapes]:
@@ -519,17 +481,6 @@ class _Reader:
             position[place] += rotations.rotate(turn[place], local[done : done + len(place)])
             done += len(place)
         return unchecked_shapes(_KINDS[table.type[of]], position, turn, size)
-
-    def _move(self, shapes: Shapes, of: Integers) -> Generator[None, None, None]:
-        """Bring what stands in other frames into the node's."""
-        elsewhere = np.flatnonzero(self.moved[of]) if self.moved is not None else of[:0]
-        for begin in range(0, len(elsewhere), ELEMENTS):
-            yield
-            place = elsewhere[begin : begin + ELEMENTS]
-            marker = of[place]
-            move = Transform(self.shift[marker], self.turn[marker])
-            shapes.position[place] = move.points(shapes.position[place])
-            shapes.orientation[place] = move.orientations(shapes.orientation[place])
 
     def _reason(self, row: int) -> str:
         if row in self.reasons:

@@ -10,7 +10,8 @@ from __future__ import annotations
 import importlib
 from typing import TYPE_CHECKING, NamedTuple
 
-from bvh_ros.ros.config.parameters import FARTHEST, Option, SourceSettings
+from bvh_ros.ros.config.parameters import FARTHEST, ConfigurationError, Option, SourceSettings
+from bvh_ros.ros.texts import as_line
 from bvh_ros.scene import AS_CONVEX, AS_SOLID, AS_SURFACE, ShapeKind
 
 if TYPE_CHECKING:
@@ -53,6 +54,13 @@ MESHES = Option(
     'surfaces. Other than convex ones are compiled for at the start.',
     choices=(AS_CONVEX, AS_SOLID, AS_SURFACE),
 )
+OCCUPIED_AT = Option(
+    'occupied_at',
+    0.5,
+    'Leaves of a full octomap with at least this probability are occupied.',
+    *(0.0, 1.0),
+)
+SOLIDS = ShapeKind.BOX, ShapeKind.SPHERE, ShapeKind.CYLINDER, ShapeKind.MESH
 
 
 class SourceType(NamedTuple):
@@ -68,7 +76,7 @@ SOURCE_TYPES = {
     'MarkerArray': SourceType(
         'bvh_ros.ros.sources.marker_array',
         'MarkerArraySource',
-        (ShapeKind.BOX, ShapeKind.SPHERE, ShapeKind.CYLINDER, ShapeKind.MESH),
+        SOLIDS,
         (MESHES, _predict(CONSTANT_VELOCITY), *FOLLOWING),
     ),
     'PointCloud2': SourceType(
@@ -100,14 +108,42 @@ SOURCE_TYPES = {
             ),
         ),
     ),
+    'Detection3DArray': SourceType(
+        'bvh_ros.ros.sources.detection_array',
+        'Detection3DArraySource',
+        (ShapeKind.BOX,),
+        (_predict(CONSTANT_VELOCITY), *FOLLOWING),
+    ),
+    'CollisionObject': SourceType(
+        'bvh_ros.ros.sources.collision_object', 'CollisionObjectSource', SOLIDS, (MESHES,)
+    ),
+    'PlanningScene': SourceType(
+        'bvh_ros.ros.sources.planning_scene', 'PlanningSceneSource', SOLIDS, (MESHES, OCCUPIED_AT)
+    ),
+    'Octomap': SourceType(
+        'bvh_ros.ros.sources.octomap', 'OctomapSource', (ShapeKind.BOX,), (OCCUPIED_AT,)
+    ),
 }
 
 
 def create_source(
     node: Node, settings: SourceSettings, scene: NodeScene, frames: Frames
 ) -> Source:
-    """Return the source that these settings describe, not yet subscribed."""
+    """Return the source that these settings describe, not yet subscribed.
+
+    Raises
+    ------
+    ConfigurationError
+        If its message package is not installed, or an option cannot be used.
+    """
     kind = SOURCE_TYPES[settings.type]
-    source_class = getattr(importlib.import_module(kind.module), kind.class_name)
+    try:
+        source_class = getattr(importlib.import_module(kind.module), kind.class_name)
+    except ImportError as error:
+        package = (error.name or kind.module).partition('.')[0]
+        raise ConfigurationError(
+            f"source '{settings.name}' needs {package}, which cannot be imported here: "
+            f'{as_line(error)}'
+        ) from error
     source: Source = source_class(node, settings, scene, frames)
     return source

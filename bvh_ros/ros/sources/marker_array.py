@@ -8,7 +8,6 @@ from collections.abc import Iterable, Iterator
 from functools import partial
 from typing import Any
 
-import numpy as np
 from visualization_msgs.msg import MarkerArray
 
 from bvh_ros.ros.cdr import definitions
@@ -16,12 +15,10 @@ from bvh_ros.ros.cdr import marker_array as decoder
 from bvh_ros.ros.compile_jobs import Job
 from bvh_ros.ros.conversions import markers
 from bvh_ros.ros.conversions.markers import table
+from bvh_ros.ros.conversions.naming import numbered
 from bvh_ros.ros.sources.source import Applying, Source
-from bvh_ros.scene import Families, Part, ShapeKind
+from bvh_ros.scene import Families, Part
 from bvh_ros.scene.names import as_families
-from bvh_ros.scene.slicing import AT_ONCE
-
-COSTLY_AS_ROWS = 60  # rows of boxes that take as long as one with a mesh
 
 
 class MarkerArraySource(Source):
@@ -61,25 +58,13 @@ class MarkerArraySource(Source):
         self.is_whole = change.clears
         part = Part(change.names, change.shapes, change.stamp, change.expires)
         part = part._replace(velocities=self.follow)
-        count, refusals = len(change.names), change.refusals
         removed = self._with_elements(change.removed)
         leaving = self.scene.find(self.name, removed, change.namespaces)
-        meshes = int(np.count_nonzero(change.shapes.kind == ShapeKind.MESH))
-        costly = COSTLY_AS_ROWS * meshes > count
-        at_once = len(leaving) < AT_ONCE and not self.scene.is_long(
-            self.name, count, whole=change.clears, costly=costly
-        )
-        if at_once:
-            self.scene.remove_group(self.name, '') if change.clears else self.scene.discard(
-                leaving
-            )
         self._forget_lists(change)
         for name, size in change.lists.items():  # before: should anything go wrong on the way
             self._lists[name] = max(size, self._lists.get(name, 0))
-        whole = change.clears and not at_once
-        refused = yield from self._in_slices('', count, part.cut, whole=whole, costly=costly)
-        if not at_once:  # not before: others have asked meanwhile
-            yield from self.scene.discard_in_slices(leaving, besides=change.names)
+        refused = yield from self._change(part, leaving, clears=change.clears)
+        count, refusals = len(change.names), change.refusals
         refusals.extend(refused)
         yield from self._settle_lists(change)
         return len(columns.id) + count - len(change.singles), refusals
@@ -125,12 +110,5 @@ class MarkerArraySource(Source):
     @staticmethod
     def _elements(lists: dict[str, tuple[int, int]], names: Families) -> Families:
         """Elements of lists from one number to another, after other names."""
-        lists = {name: (begin, end) for name, (begin, end) in lists.items() if end > begin}
-        first = len(names.prefixes)
-        counts = [end - begin for begin, end in lists.values()]
-        numbers = [np.arange(begin, end) for begin, end in lists.values()]
-        return Families(
-            [*names.prefixes, *(f'{name}#' for name in lists)],
-            np.concatenate((names.family, first + np.repeat(np.arange(len(lists)), counts))),
-            np.concatenate((names.numbers, *numbers)),
-        )
+        spans = {f'{name}#': range(begin, end) for name, (begin, end) in lists.items()}
+        return numbered(spans, after=names)

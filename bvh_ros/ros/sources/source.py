@@ -12,6 +12,7 @@ from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from functools import partial
 from typing import TYPE_CHECKING, Any, ClassVar
 
+import numpy as np
 from rclpy.serialization import deserialize_message
 
 from bvh_ros.ros.parts.part import Timings
@@ -19,7 +20,8 @@ from bvh_ros.ros.qos import DEPTH, Delivery
 from bvh_ros.ros.sources.subscribing import Completeness, FollowingSubscription, Heard
 from bvh_ros.ros.texts import Refused, explain
 from bvh_ros.ros.world.large_changes import LargeChanges
-from bvh_ros.scene import Refusal, Refusals
+from bvh_ros.scene import Part, Refusal, Refusals, ShapeKind
+from bvh_ros.scene.slicing import AT_ONCE
 from bvh_ros.scene.store import WAITS
 
 if TYPE_CHECKING:
@@ -30,6 +32,7 @@ if TYPE_CHECKING:
     from bvh_ros.ros.config.parameters import SourceSettings
     from bvh_ros.ros.world.frames import Frames
     from bvh_ros.scene import NodeScene
+    from bvh_ros.scene.names import Slots
     from bvh_ros.scene.slicing import Parts
     from bvh_ros.scene.updates import Follow
 
@@ -37,6 +40,7 @@ Applying = Generator[None, None, tuple[int, Sequence[Refusal]]]
 Slices = Generator[None, None, Refusals]
 SLICE = 0.005  # seconds after which others get a turn; whoever asks may wait for two
 SMALL_SHARE = 0.125  # of a scene: slices of so many rows take less than a copy of the scene
+COSTLY_AS_ROWS = 60  # rows of boxes that take as long as one with a mesh
 DONE = object()
 
 
@@ -233,6 +237,21 @@ class Source(ABC):
             return (yield from apply())
         return (yield from self.changes.make(self, partial(_run, apply(at_once=True))))
 
+    def _change(self, part: Part, leaving: Slots, *, clears: bool = False) -> Slices:
+        """Let some obstacles go, or all if `clears`, and others come: first the ones, then the
+        others, but for an update that pauses. Others ask meanwhile, so it removes last.
+        """
+        count, costly = len(part.shapes.kind), is_costly(part)
+        is_long = self.scene.is_long(self.name, count, whole=clears, costly=costly)
+        at_once = len(leaving) < AT_ONCE and not is_long
+        if at_once:
+            self.scene.remove_group(self.name, '') if clears else self.scene.discard(leaving)
+        whole = clears and not at_once
+        refused = yield from self._in_slices('', count, part.cut, whole=whole, costly=costly)
+        if not at_once:
+            yield from self.scene.discard_in_slices(leaving, besides=part.names)
+        return refused
+
     def _read(self, messages: Sequence[bytes]) -> Any:
         if self.raw:
             return messages
@@ -283,6 +302,12 @@ class Source(ABC):
                 f'longer than its max_age of {settings.max_age:g} s'
             )
         return ''
+
+
+def is_costly(part: Part) -> bool:
+    """Whether meshes are what its rows take time for."""
+    meshes = int(np.count_nonzero(part.shapes.kind == ShapeKind.MESH))
+    return COSTLY_AS_ROWS * meshes > len(part.shapes.kind)
 
 
 def _run(update: Slices) -> Refusals:

@@ -5,6 +5,7 @@
 import os
 import subprocess
 import sys
+from importlib.util import find_spec
 
 import pytest
 
@@ -55,7 +56,7 @@ SOURCE = {'type': NOTHING, 'topic': NOTHING, 'prefix': PREFIX, 'required': FLAG}
 SOURCE |= {'max_age': DURATION}
 PREDICTING = {'predict': NOTHING, 'max_speed': SPEED, 'smoothing': DURATION}
 GROUPS = {
-    'm': SOURCE | PREDICTING | {'meshes': ('convex', 'solid', 'surface')},
+    'm': SOURCE | PREDICTING | {'meshes': NOTHING},
     'c': SOURCE | PREDICTING | {'voxel': SPAN},
     'g': {
         **SOURCE,
@@ -88,6 +89,17 @@ GROUPS = {
         'rate': SPAN,
     },
 }
+SHARE = (0, 1, 0.0, 0.5, 1e-320)
+for name, package, options in (
+    ('Detection3DArray', 'vision_msgs', PREDICTING),
+    ('CollisionObject', 'moveit_msgs', {'meshes': NOTHING}),
+    ('PlanningScene', 'moveit_msgs', {'meshes': NOTHING, 'occupied_at': SHARE}),
+    ('Octomap', 'octomap_msgs', {'occupied_at': SHARE}),
+):
+    if find_spec(package):  # else the type is not offered
+        EVERYTHING |= {f'{name}.type': name, f'{name}.topic': f'/{name}'}
+        EVERYTHING['sources'] = [*EVERYTHING['sources'], name]
+        GROUPS[name] = SOURCE | options
 # Of the odd values, those that a parameter may have; all others are refused.
 ACCEPTED = {
     'frame_id': FRAME,
@@ -170,6 +182,22 @@ def test_every_parameter_with_every_odd_value(complaint):
 def test_these_are_refused(complaint, parameters, named):
     assert complaint(EVERYTHING) == ''
     assert f"'{named}'" in complaint({**EVERYTHING, **parameters})
+
+
+@pytest.mark.parametrize('package', ['vision_msgs', 'moveit_msgs', 'octomap_msgs'])
+def test_a_type_is_not_offered_without_its_message_package(complaint, monkeypatch, package):
+    types = {
+        'vision_msgs': 'Detection3DArray',
+        'moveit_msgs': 'CollisionObject',
+        'octomap_msgs': 'Octomap',
+    }
+    for module in [name for name in sys.modules if name.startswith('bvh_ros.ros.sources.')]:
+        monkeypatch.delitem(sys.modules, module)
+    monkeypatch.setitem(sys.modules, f'{package}.msg', None)  # as if it were not there
+    monkeypatch.setitem(sys.modules, package, None)
+    said = complaint({'sources': ['s'], 's.type': types[package], 's.topic': '/s'})
+    assert said.startswith(f"source 's' needs {package}")
+    assert complaint({}) == ''
 
 
 def started(executable, *arguments):

@@ -1,0 +1,93 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Rows of a message that each name a frame, brought into the node's frame."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Generator, Sequence
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bvh_ros.ros.world.frames import FrameError, Transform
+from bvh_ros.scene import Shapes
+
+Integers = NDArray[np.int64]
+IntoNode = Callable[[str, int], 'Transform | None']
+AT_A_TIME = 256  # frames between two pauses
+ELEMENTS = 8192  # between two pauses
+
+
+class Placing:
+    """How rows get into the node's frame. Rows of one frame and one stamp are looked up once.
+
+    Parameters
+    ----------
+    frame_ids : sequence of str
+        The different ones.
+    frame, stamp : (n,) int64 arrays
+        For each row which of them it names, and when, ns.
+    into_node : callable
+        From a frame and a stamp to the transform into the node's frame, or None if there is none
+        to apply; raises FrameError.
+    """
+
+    def __init__(
+        self, frame_ids: Sequence[str], frame: Integers, stamp: Integers, into_node: IntoNode
+    ) -> None:
+        self._frame_ids, self._frame, self._stamp = frame_ids, frame, stamp
+        self._into_node = into_node
+        self._moved: NDArray[np.bool_] | None = None  # rows in other frames
+        self._shift = np.zeros((0, 3))
+        self._turn = np.zeros((0, 4))
+
+    def find(self, rows: Integers) -> Generator[None, None, dict[int, str]]:
+        """Look up how these rows get there; return why some cannot. Pauses now and then."""
+        reasons: dict[int, str] = {}
+        frame, stamp = self._frame[rows], self._stamp[rows]
+        own = np.zeros(len(self._frame_ids), np.bool_)  # whatever the time
+        order = np.lexsort((stamp, frame))
+        moves = np.ones(len(rows), np.bool_)
+        for given in (frame[order], stamp[order]):
+            moves[1:] &= given[1:] == given[:-1]
+        moves[1:] = ~moves[1:]
+        ends = [*moves.nonzero()[0].tolist(), len(rows)]
+        for place, (begin, end) in enumerate(pairwise(ends)):
+            if place % AT_A_TIME == AT_A_TIME - 1:
+                yield
+            group = rows[order[begin:end]]  # of one frame and one stamp
+            number = int(self._frame[group[0]])
+            if own[number]:
+                continue
+            try:
+                transform = self._into_node(self._frame_ids[number], int(self._stamp[group[0]]))
+            except FrameError as error:
+                reasons.update(dict.fromkeys(group.tolist(), str(error)))
+                continue
+            if transform is None:
+                own[number] = True
+            else:
+                self._note(group, transform)
+        return reasons
+
+    def _note(self, rows: Integers, transform: Transform) -> None:
+        if self._moved is None:
+            count = len(self._frame)
+            self._moved = np.zeros(count, np.bool_)
+            self._shift, self._turn = np.zeros((count, 3)), np.zeros((count, 4))
+        self._moved[rows] = True
+        self._shift[rows], self._turn[rows] = transform.translation, transform.rotation
+
+    def move(self, shapes: Shapes, of: Integers) -> Generator[None, None, None]:
+        """Bring shapes into the node's frame, in place; `of` is the row that each comes from."""
+        if self._moved is None:
+            return
+        elsewhere = np.flatnonzero(self._moved[of])
+        for begin in range(0, len(elsewhere), ELEMENTS):
+            yield
+            place = elsewhere[begin : begin + ELEMENTS]
+            row = of[place]
+            move = Transform(self._shift[row], self._turn[row])
+            shapes.position[place] = move.points(shapes.position[place])
+            shapes.orientation[place] = move.orientations(shapes.orientation[place])
