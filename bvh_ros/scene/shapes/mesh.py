@@ -560,7 +560,9 @@ def any_surface(triangles: Floats, solid: bool) -> tuple[Surface, bool]:
     given = triangles.reshape(-1, 3)
     lo, hi = given.min(axis=0), given.max(axis=0)
     extent, largest = float((hi - lo).max()), float(np.maximum(-lo, hi).max())
-    if extent > 0.0 and not (extent > SMALLEST_SURFACE and largest < LARGEST_SURFACE):
+    if extent == 0.0:
+        raise ValueError('the mesh has no triangle with an area')
+    if not (extent > SMALLEST_SURFACE and largest < LARGEST_SURFACE):
         raise ValueError(
             'the mesh is too small or too large: unless it is convex, it must be larger than '
             f'{SMALLEST_SURFACE} m, and lie within {LARGEST_SURFACE} m'
@@ -596,8 +598,10 @@ def _odd_edges(corners: Integers) -> Integers:
     ends = np.sort(corners[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
     row = np.repeat(np.arange(len(corners)), 3)
     real = ends[:, 0] != ends[:, 1]
-    number = _one_number(ends[real])
-    odd: Integers = row[real][np.bincount(number)[number] % 2 == 1]
+    ends, row = ends[real], row[real]
+    number = ends[:, 0] * (int(ends.max(initial=0)) + 1) + ends[:, 1]
+    _, which, count = np.unique(number, return_inverse=True, return_counts=True)
+    odd: Integers = row[count[which] % 2 == 1]
     return odd
 
 
