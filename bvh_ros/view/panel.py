@@ -243,7 +243,7 @@ class TimeLine:
         axis = {'font': '10px sans-serif', 'size': 34, 'gap': 2, 'ticks': {'show': False}}
         lines, none, up = {'stroke': '#8884', 'width': 1}, {'show': False}, {'soft': 0, 'mode': 1}
         scale = {'range': {'min': up, 'max': {'pad': 0.1, 'soft': 0, 'mode': 0}}}
-        count, took = _css(5), _css(6)
+        count, took = _css(2), _css(1)
         self._plot = gui.add_uplot(
             self._columns(),
             (

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from bvh_ros.scene import NodeScene, Numbered, Shapes
 from bvh_ros.tree import DynamicBVH
+from bvh_ros.tree.access import PALETTE
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -239,7 +240,7 @@ def _upright(corners: Floats) -> Floats:
 # ---- Groups of obstacles by the beginning of their names
 
 
-MOST_NAMESPACES = 7  # of a source; of more, colours would repeat
+MOST_NAMESPACES = len(PALETTE)  # of a source; of more, colours would repeat
 
 
 class Namespaces:
