@@ -239,12 +239,18 @@ def _drawn(rows: Sequence[Sequence[Any]]) -> Any:
     axes = figure.add_subplot()
     for name in STEPS:
         points = [(time, wrong) for kind, _, time, wrong, *_ in rows if kind == name]
-        style: dict[str, Any] = {'color': COLOURS[name], 'mfc': COLOURS[name] if name == SWEEP else 'white'}
+        style: dict[str, Any] = {
+            'color': COLOURS[name],
+            'mfc': COLOURS[name] if name == SWEEP else 'white',
+        }
         axes.plot(*zip(*points, strict=True), 'o-', **style, label=f'{LETTERS[name]}  {name}')
     for name, step, time, wrong, meet, missed in rows:
         text = f'{step:g} m' + (f': {missed} of {meet} missed' if missed else '')
         right = name == SWEEP
-        place: dict[str, Any] = {'xytext': (-8 if right else 8, 3), 'ha': 'right' if right else 'left'}
+        place: dict[str, Any] = {
+            'xytext': (-8 if right else 8, 3),
+            'ha': 'right' if right else 'left',
+        }
         axes.annotate(text, (time, wrong), textcoords='offset points', fontsize=8, **place)
     axes.set(xlabel='run time an edge, µs', ylabel='contact wrong by at most, m')
     scale(axes, [row[2] for row in rows], 1e-5, 1.0)

@@ -114,13 +114,13 @@ class Probe:
 
 def in_words(answer: Answer) -> str:
     """The obstacles hit, where, and the time of the query, as HTML."""
-    took = f'{answer.microseconds:,.0f} us'
+    took = f'<span style="white-space:nowrap">· {answer.microseconds:,.0f} us</span>'
     if not answer.hits:
-        return f'<b>free</b> · {took}'
+        return f'<b>free</b> {took}'
     names = ', '.join(f'<b>{escape(hit.name)}</b>' for hit in answer.hits[:SHOWN])
     rest = len(answer.hits) - SHOWN
     more = f' and {rest} more' if rest > 0 else ''
-    return f'{names}{more} at ({in_digits(*answer.hits[0].point)}) m · {took}'
+    return f'{names}{more} at ({in_digits(*answer.hits[0].point)}) m {took}'
 
 
 def in_digits(*metres: float) -> str:
@@ -257,6 +257,7 @@ class TimeLine:
                 {**axis, 'scale': 'count', 'stroke': count, 'grid': lines},
                 {**axis, 'scale': 'ms', 'side': 1, 'stroke': took, 'grid': none},
             ),
+            padding=(8, 0, 0, 0),
             aspect=1.9,
         )
 
@@ -276,7 +277,7 @@ def _css(number: int) -> str:
 def _row(left: str, right: str, before: str = '') -> str:
     """A line of HTML with something at either end."""
     return (
-        f'<div style="display:flex;gap:.5em;align-items:center">{before}'
+        f'<div style="display:flex;gap:.5em;align-items:center;padding-right:.7em">{before}'
         f'<span style="flex:1">{left}</span><span>{right}</span></div>'
     )
 

@@ -188,7 +188,9 @@ def tradeoff(points: Sequence[Point], panels: Sequence[Panel], title: str) -> An
     figure.suptitle(title, x=0.01, ha='left', fontsize=10)
     figure.draw_without_rendering()  # now it is known where points lie in the picture
     for axes, panel, names in zip(every, panels, fronts, strict=True):
-        _draw_letters(axes, [(p.name, p.time, panel.error(p.score)) for p in points], names)
+        most = axes.get_ylim()[1]  # where an infinite error is drawn
+        shown = [(p.name, p.time, min(panel.error(p.score), most)) for p in points]
+        _draw_letters(axes, shown, names)
     return figure
 
 
