@@ -245,7 +245,7 @@ def _drawn(rows: Sequence[Sequence[Any]]) -> Any:
         }
         axes.plot(*zip(*points, strict=True), 'o-', **style, label=f'{LETTERS[name]}  {name}')
     for name, step, time, wrong, meet, missed in rows:
-        text = f'{step:g} m' + (f': {missed} of {meet} missed' if missed else '')
+        text = f'{1000 * step:g} mm' + (f': {missed} of {meet} missed' if missed else '')
         right = name == SWEEP
         place: dict[str, Any] = {
             'xytext': (-8 if right else 8, 3),
@@ -254,7 +254,7 @@ def _drawn(rows: Sequence[Sequence[Any]]) -> Any:
         axes.annotate(text, (time, wrong), textcoords='offset points', fontsize=8, **place)
     axes.set(xlabel='run time an edge, µs', ylabel='contact wrong by at most, m')
     scale(axes, [row[2] for row in rows], 1e-5, 1.0)
-    axes.legend(frameon=False, loc='upper right')
+    axes.legend(frameon=False, loc='lower right')
     return figure
 
 
