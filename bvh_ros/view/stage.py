@@ -44,7 +44,7 @@ class LocalServer(viser.ViserServer):
 LIGHT, DARK = ((215, 215, 215), (170, 170, 170)), ((62, 66, 72), (88, 92, 98))
 GROWN = 1.5  # times its last size: then the grid is made anew
 NEAR, FAR = 1e-3, 30.0  # what a camera sees, in sizes of the world
-AWAY, FOV = 2.15, 0.6  # where it stands at first, in sizes of the world; rad, from top to bottom
+AWAY, FOV = 1.7, 0.76  # where it stands at first, in sizes of the world; rad, from top to bottom
 
 
 class Stage:
