@@ -178,7 +178,7 @@ def _new_axes(ndim: int) -> Any:
         axes.zaxis.set_major_locator(pyplot.MaxNLocator(3))
         axes.view_init(elev=40.0, azim=-65.0)
         axes.computed_zorder = False  # rays and hits are seen through what is in front of them
-        figure.subplots_adjust(0.02, 0.04, 0.82, 0.98)
+        figure.subplots_adjust(0.02, 0.0, 0.82, 0.93)  # room for a title and the legend
     return axes
 
 

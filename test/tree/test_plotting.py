@@ -68,6 +68,7 @@ def test_a_picture_in_space_shows_all_and_its_text_is_whole():
     assert axes.get_zlim()[1] >= 2.0
     (dots,) = axes.lines
     assert [float(place[0]) for place in dots.get_data_3d()] == [0.0, 1.0, 1.0]
+    axes.set_title('A title')
     assert_seen(axes, (0.34, 0.71, 0.91))
     inside = axes.get_tightbbox(axes.figure.canvas.get_renderer())
     assert inside.x0 >= 0.0
