@@ -2,95 +2,113 @@
 # SPDX-License-Identifier: Apache-2.0
 """Draw every picture that the README and docs/ show.
 
-Run: python .ci/pictures.py [FOLDER] [--quick]. Without a folder those in resource/ are replaced.
---quick draws small scenes, which shows that each can still be drawn. A picture that needs what is
-missing here (a browser, a recording) is left out, and named.
+Run: PYTHONPATH=test python .ci/pictures.py [FOLDER] [--quick] [--only NAME...]. Without a folder
+those in resource/ are replaced. --quick draws small scenes, which shows that each can still be
+drawn. A picture that needs what is missing here (a browser, a recording) is left out, and named.
 """
 
 import argparse
+import contextlib
+import io
 import re
 import shutil
 import subprocess
 import sys
 import tempfile
 import threading
+import time
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
+
+import numpy as np
+from PIL import Image
+from view import chromium, pages
+
+from bvh_ros import scenarios
+from bvh_ros.report import edges
+from bvh_ros.report.error import worlds
+from bvh_ros.report.page import Page
+from bvh_ros.view import page as view
+from bvh_ros.view.recorded import Tracks
+from bvh_ros.view.stage import LocalServer
 
 ROOT = Path(__file__).resolve().parent.parent
+EXAMPLES = ROOT / 'examples'
 TRACKS = ROOT.parent / 'shared' / 'data' / 'commonroad_ngsim' / 'USA_US101-4_1_T-1.csv'
+NO_BROWSER = 'there is no chromium and chromedriver'
+SIZE = 1000, 760  # pixels of the browser's window
+STEP, SETTLE = 0.15, 0.4  # s: from frame to frame of the animation; until WebGL has drawn one
+LARGEST = 2_000_000  # bytes of the animation
+Draw = Callable[[Path, bool], str]  # writes a file, quickly or well; why not, or nothing
 
 
-def draw_error(file: Path, quick: bool) -> str:
-    """Error against run time of rays at corners, edges and faces."""
-    from bvh_ros.report.error import worlds
-    from bvh_ros.report.page import Page
+def of_report(name: str, sections: Callable[[Page, bool], object]) -> Draw:
+    """The picture `name` of a section of the report."""
 
-    with tempfile.TemporaryDirectory() as folder:
-        page = Page(Path(folder))
-        page.begin('Error', '')
-        worlds.adversarial_scene(page, quick)
-        shutil.copy(Path(folder) / 'error_adversarial.png', file)
-    return ''
+    def draw(file: Path, quick: bool) -> str:
+        with tempfile.TemporaryDirectory() as folder:
+            page = Page(Path(folder))
+            page.begin(name, '')
+            sections(page, quick)
+            shutil.copy(Path(folder) / f'{name}.png', file)
+        return ''
 
-
-def draw_prediction(file: Path, quick: bool) -> str:
-    """What prediction is worth among recorded traffic."""
-    if quick:
-        return 'test/test_examples.py draws it'
-    if not TRACKS.is_file():
-        return f'there is no {TRACKS}'
-    script = ROOT / 'examples' / 'predicted_traffic.py'
-    subprocess.run([sys.executable, script, TRACKS, '--plot', file], check=True)
-    return ''
+    return draw
 
 
-def draw_edges(file: Path, quick: bool) -> str:
-    """Error against run time of edges between poses."""
-    from bvh_ros.report import edges
-    from bvh_ros.report.page import Page
+def of_example(*command: str | Path) -> Draw:
+    """The picture that an example writes to the file after its last argument."""
 
-    with tempfile.TemporaryDirectory() as folder:
-        page = Page(Path(folder))
-        page.begin('Edges', '')
-        edges.resolutions(page, quick)
-        shutil.copy(Path(folder) / 'edge_resolutions.png', file)
-    return ''
+    def draw(file: Path, quick: bool) -> str:
+        if quick:
+            return 'test/test_examples.py draws it'
+        if TRACKS in command and not TRACKS.is_file():
+            return f'there is no {TRACKS}'
+        subprocess.run([sys.executable, *command, file], check=True)
+        return ''
 
-
-def draw_door(file: Path, quick: bool) -> str:
-    """A long load through a doorway, checked at the poses and between them."""
-    if quick:
-        return 'test/test_examples.py draws it'
-    script = ROOT / 'examples' / 'load_through_a_door.py'
-    subprocess.run([sys.executable, script, '--picture', file], check=True)
-    return ''
+    return draw
 
 
-def draw_view(file: Path, quick: bool) -> str:
-    """The warehouse of the demo in a browser, with a segment along the aisle."""
-    sys.path.insert(0, str(ROOT / 'test'))
-    from view import chromium, pages
+# ---- The demo in a browser
 
-    if chromium.find() is None:
-        return 'there is no chromium and chromedriver'
-    from bvh_ros import scenarios
-    from bvh_ros.view.page import Page
-    from bvh_ros.view.recorded import Tracks
-    from bvh_ros.view.stage import LocalServer
 
+@contextlib.contextmanager
+def warehouse(width: int, height: int) -> Iterator[tuple[Any, Any]]:
+    """The demo's warehouse, paused, and a browser that shows it."""
     world = Tracks('warehouse', list(scenarios.warehouse()))
+    world.playing = False
     server, ended = LocalServer('127.0.0.1', 8300), threading.Event()
-    page, browser = Page(server, world), chromium.open_browser(1200, 860)
+    page, browser = view.Page(server, world), chromium.open_browser(width, height)
     thread = threading.Thread(target=page.run, args=(ended.is_set,))
     thread.start()
     try:
-        pages.visit(browser, page, 8)
-        page.todo.put(lambda: setattr(world, 'playing', False))
-        page.todo.put(lambda: world.seek(3.0))
-        page.todo.put(lambda: setattr(page.panel.ask, 'value', 'a segment'))
-        page.todo.put(page.ask)
-        page.todo.put(lambda: page.probe.place((0.0, 0.0, 1.0), (16.0, 0.0, 1.0)))
-        pages.until(lambda: 'forklift/0 at' in pages.text_of(browser), 'no answer')
+        pages.visit(browser, page, len(world.scene))
+        yield page, browser
+    finally:
+        ended.set()
+        thread.join()
+        browser.quit()
+        server.stop()
+
+
+def show(page: Any, browser: Any, t: float) -> None:
+    """Have the browser show a time, s, with the answer of that time."""
+    shown = page.sent
+    page.todo.put(lambda: page.world.seek(t))
+    pages.until(lambda: page.sent > shown, 'nothing is drawn')
+    answer = re.sub('<[^>]*>', '', page.probe.answer)
+    pages.until(lambda: answer in pages.text_of(browser), 'another answer is shown')
+
+
+def draw_view(file: Path, quick: bool) -> str:
+    """The warehouse, with a clicked obstacle."""
+    del quick
+    if chromium.find() is None:
+        return NO_BROWSER
+    with warehouse(1280, 1000) as (page, browser):
+        show(page, browser, 3.0)
         forklift = pages.pixel_of(page, pages.canvas_of(browser), (13.0, -2.0, 2.0))
 
         def named() -> bool:
@@ -99,19 +117,34 @@ def draw_view(file: Path, quick: bool) -> str:
 
         pages.until(named, 'no obstacle was clicked')
         browser.save_screenshot(str(file))
-    finally:
-        ended.set()
-        thread.join()
-        browser.quit()
-        server.stop()
+    return ''
+
+
+def draw_demo(file: Path, quick: bool) -> str:
+    """The warehouse as it moves."""
+    if chromium.find() is None:
+        return NO_BROWSER
+    frames = []
+    with warehouse(*SIZE) as (page, browser):
+        for t in np.arange(0.5, 1.0 if quick else 9.0, STEP).tolist():
+            show(page, browser, t)
+            time.sleep(SETTLE)
+            picture = Image.open(io.BytesIO(browser.get_screenshot_as_png()))
+            frames.append(picture.convert('RGB'))
+    how = {'duration': round(1000 * STEP), 'loop': 0, 'quality': 70, 'method': 6}
+    frames[0].save(file, save_all=True, append_images=frames[1:], **how)
+    size = file.stat().st_size
+    if size > LARGEST:
+        raise RuntimeError(f'{file} has {size:,} bytes')
     return ''
 
 
 DRAWN = {
-    'door.png': draw_door,
-    'edge_resolutions.png': draw_edges,
-    'error_adversarial.png': draw_error,
-    'prediction.png': draw_prediction,
+    'demo.webp': draw_demo,
+    'door.png': of_example(EXAMPLES / 'load_through_a_door.py', '--picture'),
+    'edge_resolutions.png': of_report('edge_resolutions', edges.resolutions),
+    'error_adversarial.png': of_report('error_adversarial', worlds.adversarial_scene),
+    'prediction.png': of_example(EXAMPLES / 'predicted_traffic.py', TRACKS, '--plot'),
     'view.png': draw_view,
 }
 
@@ -121,6 +154,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument('folder', type=Path, nargs='?', default=ROOT / 'resource')
     parser.add_argument('--quick', action='store_true')
+    parser.add_argument('--only', nargs='+', choices=DRAWN, default=[*DRAWN], metavar='NAME')
     options = parser.parse_args()
     options.folder.mkdir(parents=True, exist_ok=True)
     texts = [page.read_text('utf-8') for page in (ROOT / 'README.md', *ROOT.glob('docs/*.md'))]
@@ -128,8 +162,8 @@ def main() -> int:
     if shown != set(DRAWN):
         print(f'shown, or drawn, but not both: {", ".join(sorted(shown ^ set(DRAWN)))}')
         return 1
-    for name, draw in DRAWN.items():
-        absent = draw(options.folder / name, options.quick)
+    for name in options.only:
+        absent = DRAWN[name](options.folder / name, options.quick)
         print(f'{name} is left out: {absent}' if absent else f'drawn: {options.folder / name}')
     return 0
 

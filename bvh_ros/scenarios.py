@@ -5,10 +5,10 @@
 from __future__ import annotations
 
 import csv
+import itertools
 import math
 from collections.abc import Iterable, Iterator
-from itertools import groupby
-from operator import attrgetter, itemgetter
+from operator import itemgetter
 from pathlib import Path
 from typing import NamedTuple
 
@@ -20,6 +20,7 @@ from bvh_ros.scene import Scene, ShapeKind, Shapes
 
 DURATION = 15.0  # seconds of the warehouse
 RATE = 10.0  # frames a second of the warehouse
+LEVELS, THICK = (0.2, 1.2, 2.2), 0.08  # m, of the boards
 MARKER_TYPES = {'box': Marker.CUBE, 'sphere': Marker.SPHERE, 'cylinder': Marker.CYLINDER}
 KINDS = {'box': ShapeKind.BOX, 'sphere': ShapeKind.SPHERE, 'cylinder': ShapeKind.CYLINDER}
 Vector = tuple[float, float, float]
@@ -45,11 +46,8 @@ class Frame(NamedTuple):
 
 
 def warehouse() -> Iterator[Frame]:
-    """Forklifts, people and a ball between two shelves."""
-    shelves = [
-        Thing('box', 'shelf', side, (10.0, 4.0 * (2 * side - 1), 1.5), (16.0, 0.6, 3.0), 0.0)
-        for side in (0, 1)
-    ]
+    """Forklifts, people and a ball between two racks with crates."""
+    racks = _racks()
     questions = [
         Question('ray along the aisle, 20 m', lambda c: c.raycast((0, 0, 1), (20, 0, 1))),
         Question(
@@ -71,7 +69,25 @@ def warehouse() -> Iterator[Frame]:
         if t < 0.6 * DURATION:  # then somebody picks it up
             height = 0.3 + abs(math.sin(2.0 * t))
             moving.append(Thing('sphere', 'ball', 0, (10.0, 1.5, height), (0.6, 0.6, 0.6), 0.0))
-        yield Frame(t, shelves + moving, questions)
+        yield Frame(t, racks + moving, questions)
+
+
+def _racks() -> list[Thing]:
+    """Posts and boards on both sides of the aisle, and crates on most places of the boards."""
+    shelves, crates, rng = [], [], np.random.default_rng(3)
+    for y in (-4.0, 4.0):
+        shelves += [((x, y, 1.5), (0.1, 0.9, 3.0)) for x in (2.0, 6.0, 10.0, 14.0, 18.0)]
+        shelves += [((10.0, y, z), (16.0, 0.9, THICK)) for z in LEVELS]
+        for bay, along, z in itertools.product(range(4), (0.75, 2.0, 3.25), LEVELS):
+            length, width, height = rng.uniform((0.6, 0.5, 0.3), (1.1, 0.85, 0.75)).tolist()
+            middle = (2.0 + 4.0 * bay + along, y, z + 0.5 * (THICK + height))
+            if rng.random() < 0.75:
+                crates.append((middle, (length, width, height)))
+    return [
+        Thing('box', name, number, *box, 0.0)
+        for name, boxes in (('shelf', shelves), ('crate', crates))
+        for number, box in enumerate(boxes)
+    ]
 
 
 def _circling(t: float, which: int) -> Vector:
@@ -95,7 +111,7 @@ def tracks(path: Path) -> Iterator[Frame]:
         raise RuntimeError(f'{path} is no track file: it has no rows')
     numbers = [thing.number for _, _, thing in rows]
     ego = max(set(numbers), key=lambda number: (numbers.count(number), -number))
-    for _, group in groupby(rows, key=itemgetter(0)):
+    for _, group in itertools.groupby(rows, key=itemgetter(0)):
         vehicles = list(group)
         things = [thing for _, _, thing in vehicles]
         own = [thing for thing in things if thing.number == ego]
@@ -140,8 +156,9 @@ def _questions_of(car: Thing) -> list[Question]:
 
 def show(frame: Frame, scene: Scene, stamp: int) -> None:
     """Make a scene of a frame, namespaces as sources; what it no longer has goes."""
-    things = sorted(frame.things, key=attrgetter('namespace'))
-    groups = {name: list(some) for name, some in groupby(things, key=attrgetter('namespace'))}
+    groups: dict[str, list[Thing]] = {}
+    for thing in frame.things:
+        groups.setdefault(thing.namespace, []).append(thing)
     for name in scene.sources():
         if name not in groups:
             scene.remove_group(name, '')

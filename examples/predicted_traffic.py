@@ -28,6 +28,8 @@ SPEED, HORIZON, FRAME = 1.5, 3.0, 0.1  # m/s, s, s
 ROBOTS, MOMENTS = 400, 60
 NAMES = 'm off', 'missed', 'false alarms', 'us a robot'
 METHODS = 'at rest', 'last step', 'tracked'
+# The colours of a stale and of a predicted world in the pictures of `bvh_report error`, and black.
+STYLES = ('#009E73', 'o-'), ('#56B4E9', 's--'), ('#000000', '^:')
 
 parser = argparse.ArgumentParser(description=__doc__)
 parser.add_argument('tracks')
@@ -153,8 +155,9 @@ if options.plot:
     figure, axes = plt.subplots(1, 3, figsize=(12, 3.8), layout='constrained')
     labels = ('mean error of a position, m', 'missed, share of robots', 'false alarms, share')
     for panel, label, k in zip(axes, labels, range(3), strict=True):
-        for method, (name, style) in enumerate(zip(METHODS, ('o-', 's--', '^:'), strict=True)):
-            panel.plot(RATES, [result[k][method] for result in results], style, label=name)
+        for method, (name, (colour, line)) in enumerate(zip(METHODS, STYLES, strict=True)):
+            rows = [result[k][method] for result in results]
+            panel.plot(RATES, rows, line, color=colour, label=name)
         panel.set(xlabel='updates a second', ylabel=label, xscale='log')
         panel.set_xticks(RATES, RATES)
         panel.minorticks_off()

@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Edges of a planner: a box that moves and turns, certified, sampled, and by rapier and fcl."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from importlib import import_module
 from importlib.util import find_spec
@@ -13,7 +13,8 @@ import numpy as np
 from ..ros.conversions import rotations
 from ..scene import Scene, Shapes
 from ..scene.shapes.shape import unit_quaternions
-from .page import BLUE, RED, Cell, Page
+from .error.methods import COLOURS, LETTERS, scale
+from .page import Cell, Page
 from .scenes import Boxes, Floats, spread, uniform_boxes, units
 from .timing import Job, interleaved, one_processor
 
@@ -23,7 +24,8 @@ SIZE, LENGTH, ANGLE = np.array((0.6, 0.4, 0.3)), 0.5, np.deg2rad(30.0)  # m, m, 
 RESOLUTION, EXACT = 1e-4, 1e-6  # m
 DENSER = 1.7  # times the edges of `uniform_boxes`
 ARM = float(np.linalg.norm(SIZE)) / 2.0
-STEPS = {'sweep': (1e-2, 1e-3, 1e-4, 1e-5, 1e-6), 'poses': (0.1, 0.03, 0.01, 3e-3, 1e-3)}  # m
+SWEEP, POSES = 'sweep between two poses', 'poses on the way'
+STEPS = {SWEEP: (1e-2, 1e-3, 1e-4, 1e-5, 1e-6), POSES: (0.1, 0.03, 0.01, 3e-3, 1e-3)}  # m
 
 
 class Edges(NamedTuple):
@@ -203,58 +205,57 @@ def resolutions(page: Page, brief: bool) -> None:
     10 nm. *wrong by*: how far the box is from where it does so. *missed*: edges that seem free.
     The time is that of 300 edges, most of which are free.
     """
-    from matplotlib.figure import Figure
-
     scene, _, _, every, axes = world(brief, 30)
     shape = Shapes.boxes([0.0, 0.0, 0.0], SIZE)
     free = ~scene.overlap_shape_many(shape, every.goals, every.goal_turns)
     usual, usual_axes = every.take(slice(LOOPED)), axes[:LOOPED]
     chosen = free & np.isfinite(certified(scene, every, 1e-8))
     every, axes = every.take(chosen), axes[chosen]
-    exact = certified(scene, every, 1e-8)
+    exact, speed = certified(scene, every, 1e-8), LENGTH + ANGLE * ARM
     rows: list[list[Cell]] = []
-    drawn: dict[str, list[tuple[float, float, float]]] = {'sweep': [], 'poses': []}
-    for kind, steps in STEPS.items():
+    for name, steps in STEPS.items():
         for step in steps:
-            if kind == 'sweep':
-                t = certified(scene, every, step)
+            if name == SWEEP:
                 run = partial(certified, scene, usual, step)
+                t = certified(scene, every, step)
             else:
-                t = sampled(scene, every, axes, step)
                 run = partial(sampled, scene, usual, usual_axes, step)
+                t = sampled(scene, every, axes, step)
             with one_processor():
-                took = interleaved({'run': Job(run, LOOPED)}, 1 if brief else 3)['run']
+                took = interleaved({'': Job(run, LOOPED)}, 1 if brief else 3)[''].microseconds
             found = np.isfinite(t)
-            speed = LENGTH + ANGLE * ARM
             wrong = float(np.abs(exact[found] - t[found]).max(initial=0.0)) * speed
-            missed = int(np.count_nonzero(~found))
-            rows.append([kind, step, took.microseconds, wrong, len(t), missed])
-            drawn[kind].append((took.microseconds, max(wrong, 1e-9), missed / max(len(t), 1)))
-    header = [
-        'method',
-        'resolution or step, m',
-        'us an edge',
-        'wrong by at most, m',
-        'meet',
-        'missed',
-    ]
-    page.table('edge_resolutions', header, rows)
-    figure = Figure(figsize=(6.4, 4.0), layout='constrained')
-    axis = figure.add_subplot()
-    for (kind, points), colour in zip(drawn.items(), (BLUE, RED), strict=True):
-        times, errors, _ = zip(*points, strict=True)
-        label = 'sweep_shape_many' if kind == 'sweep' else 'poses by overlap_shape_many'
-        axis.plot(times, errors, 'o-', color=colour, label=label)
-        for time, error, share in points:
-            if kind == 'poses':
-                text = f'{share:.0%} missed'
-                axis.annotate(
-                    text, (time, error), (0, -14), textcoords='offset points', ha='right'
-                )
-    axis.set(xscale='log', yscale='log', xlabel='us an edge', ylabel='contact wrong by at most, m')
-    axis.legend()
-    axis.grid(alpha=0.3)
-    page.picture('edge_resolutions', 'Error against run time of edges', figure)
+            rows.append([name, step, took, wrong, len(t), int(np.count_nonzero(~found))])
+    header = 'method', 'resolution or step, m', 'us an edge', 'wrong by at most, m'
+    page.table('edge_resolutions', (*header, 'meet', 'missed'), rows)
+    page.picture('edge_resolutions', 'Error against run time of edges', _drawn(rows))
+
+
+def _drawn(rows: Sequence[Sequence[Any]]) -> Any:
+    """A line for each method; what misses edges says how many."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(6.8, 4.0), layout='constrained')
+    axes = figure.add_subplot()
+    for name in STEPS:
+        points = [(time, wrong) for kind, _, time, wrong, *_ in rows if kind == name]
+        style: dict[str, Any] = {
+            'color': COLOURS[name],
+            'mfc': COLOURS[name] if name == SWEEP else 'white',
+        }
+        axes.plot(*zip(*points, strict=True), 'o-', **style, label=f'{LETTERS[name]}  {name}')
+    for name, step, time, wrong, meet, missed in rows:
+        text = f'{1000 * step:g} mm' + (f': {missed} of {meet} missed' if missed else '')
+        right = name == SWEEP
+        place: dict[str, Any] = {
+            'xytext': (-8 if right else 8, 3),
+            'ha': 'right' if right else 'left',
+        }
+        axes.annotate(text, (time, wrong), textcoords='offset points', fontsize=8, **place)
+    axes.set(xlabel='run time an edge, µs', ylabel='contact wrong by at most, m')
+    scale(axes, [row[2] for row in rows], 1e-5, 1.0)
+    axes.legend(frameon=False, loc='lower right')
+    return figure
 
 
 SECTIONS = {'Edges': comparison, 'Edges by resolution': resolutions}

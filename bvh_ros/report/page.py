@@ -59,8 +59,8 @@ def bar(items: Sequence[Item], name: Callable[[Item], str]) -> Iterator[Item]:
 
 TITLE = '# bvh_ros: report\n'
 LIBRARIES = ('numpy', 'numba', 'embreex', 'coal', 'python-fcl', 'rapier3d', 'scipy')
-# Okabe and Ito's colours, which the colour-blind can tell apart.
-BLUE, RED, GREEN, PINK = '#0072B2', '#D55E00', '#009E73', '#CC79A7'
+# Okabe and Ito's colours, which the colour-blind can tell apart, and purple.
+BLUE, RED, GREEN, PINK, PURPLE = '#0072B2', '#D55E00', '#009E73', '#CC79A7', '#7353AD'
 ORANGE, SKY, BLACK, GREY = '#E69F00', '#56B4E9', '#000000', '0.4'
 
 

@@ -7,10 +7,9 @@ from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from ..tree.access import CORNERS, SIDES, Ids, checks
-from ..tree.access import plotting as boxes
 from .results import LAST_NODE_HANDLE, Obstacle
 from .rows import text
 from .shapes.footprint import Polygon
@@ -183,32 +182,11 @@ class Inspection:
             mine, handles = mine[first], handles[first]
         return mine[np.argsort(handles, kind='stable')]
 
-    def plot(
-        self,
-        axes: Any = None,
-        *,
-        levels: boxes.Levels = None,
-        rays: ArrayLike | None = None,
-        hits: ArrayLike | None = None,
-    ) -> Any:
-        """Draw the obstacles with matplotlib, a colour a source; a planar scene from above.
-
-        Parameters, and what is returned, as in `DynamicBVH.plot`.
-        """
-        ndim = self._store.tree.ndim
-        axes = boxes.picture(axes, self._store.tree.bounds, ndim, rays, hits)
-        faces: list[Floats] = []
-        colours: list[Floats] = []
-        for number, source in enumerate(self.sources()):
-            shapes = self.shapes_of(source, len(self._store.columns.source))
-            drawn = outlines(shapes) if ndim == 2 else faces_of(shapes)
-            faces += drawn
-            colours += [boxes.PALETTE[number % len(boxes.PALETTE)]] * len(drawn)
-        boxes.add_faces(axes, faces, colours)
-        if levels is not None:
-            depths = boxes.first_and_last(levels)
-            boxes.add_levels(axes, *self.tree_levels(*depths, boxes.MOST_BOXES))
-        return axes
+    def faces(self) -> dict[str, list[Floats]]:
+        """The polygons of each source; of a planar scene, those around its shapes from above."""
+        polygons = outlines if self._store.planar else faces_of
+        most = len(self._store.columns.source)
+        return {source: polygons(self.shapes_of(source, most)) for source in self.sources()}
 
     def tree_levels(self, first: int, last: int, most: int) -> tuple[Floats, Floats, Ids]:
         """lo, hi and depth of the tree's boxes from depth `first` to `last`; the root's is 0."""

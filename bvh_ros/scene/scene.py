@@ -8,9 +8,10 @@ import copy
 import math
 from typing import TYPE_CHECKING, Any, NoReturn
 
+import numpy as np
 from numpy.typing import ArrayLike
 
-from ..tree.access import checks
+from ..tree.access import checks, plotting
 from .delegation import method_of
 from .distance.batch import Clearances, Nearness, Overlaps
 from .distance_queries import DistanceQueries
@@ -162,10 +163,30 @@ class Scene(RayQueries, OverlapQueries, DistanceQueries, SweepQueries):
     names = method_of('_inspection', Inspection.names)
     name_of = method_of('_inspection', Inspection.name_of)
     sources = method_of('_inspection', Inspection.sources)
-    plot = method_of('_inspection', Inspection.plot)
     stats = method_of('_inspection', Inspection.stats)
     count = method_of('_inspection', Inspection.count)
     validate = method_of('_inspection', Inspection.validate)
+
+    def plot(
+        self,
+        axes: Any = None,
+        *,
+        levels: plotting.Levels = None,
+        rays: ArrayLike | None = None,
+        hits: ArrayLike | None = None,
+    ) -> Any:
+        """Draw the obstacles with matplotlib, a colour a source; a planar scene from above.
+
+        Parameters, and what is returned, as in `DynamicBVH.plot`.
+        """
+        ndim, inspection = 2 if self.planar else 3, self._inspection
+
+        def cast(starts: Floats, goals: Floats) -> Floats:
+            level = ((0, 0), (0, 3 - ndim))
+            return self.sweep_many(np.pad(starts, level), np.pad(goals, level)).t
+
+        world = plotting.World(ndim, self.bounds, inspection.faces(), inspection.tree_levels, cast)
+        return plotting.picture(axes, world, levels, rays, hits)
 
     def __repr__(self) -> str:
         kind = 'planar' if self.planar else '3D'

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from . import box_checks, changing, checks, handle_checks
+from . import box_checks, changing, checks, handle_checks, plotting
 from .nodes import View
 from .query.box_queries import BoxQueries
 from .query.ray_queries import RayQueries
@@ -280,6 +280,43 @@ class DynamicBVH(RayQueries, BoxQueries):
         subtrees in turn.
         """
         self._change_many(changing.OPTIMIZE)
+
+    # ---- a picture
+
+    def plot(
+        self,
+        axes: Any = None,
+        *,
+        levels: plotting.Levels = None,
+        rays: ArrayLike | None = None,
+        hits: ArrayLike | None = None,
+    ) -> Any:
+        """Draw the boxes with matplotlib (`pip install matplotlib`); some thousands at most.
+
+        Parameters
+        ----------
+        axes : matplotlib axes, optional
+            With `projection='3d'` unless ndim is 2; new ones by default.
+        levels : int or (int, int), optional
+            The tree's boxes of this depth, or from one depth to another, by their edges. The
+            root's is 0.
+        rays : array_like, shape (n, 2, ndim), optional
+            The two ends of each. They are cast: each is drawn to its first hit, which is marked.
+        hits : array_like, shape (m, ndim), optional
+            More points to mark.
+
+        Returns
+        -------
+        matplotlib axes
+        """
+        world = plotting.World(
+            self.ndim,
+            self.bounds,
+            {'box': plotting.box_faces(*self.boxes(self.ids()))},
+            self.levels,
+            lambda starts, goals: self.raycast_many(starts, goals - starts, 1.0).t,
+        )
+        return plotting.picture(axes, world, levels, rays, hits)
 
     # ---- keeping
 

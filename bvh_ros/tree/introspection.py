@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from . import checks, handle_checks, plotting, validation
+from . import checks, handle_checks, validation
 from .area import cost_now
 from .compiler.kernel_cache import cache_folder
 from .entries import entry_points
@@ -131,39 +131,6 @@ class Introspection(Timed):
         records = all_nodes[np.concatenate(nodes)[:most]]
         self._check_unchanged(view)
         return records['lo'], records['hi'], np.concatenate(depths)[:most]
-
-    def plot(
-        self,
-        axes: Any = None,
-        *,
-        levels: plotting.Levels = None,
-        rays: ArrayLike | None = None,
-        hits: ArrayLike | None = None,
-    ) -> Any:
-        """Draw the boxes with matplotlib (`pip install matplotlib`); some thousands at most.
-
-        Parameters
-        ----------
-        axes : matplotlib axes, optional
-            With `projection='3d'` unless ndim is 2; new ones by default.
-        levels : int or (int, int), optional
-            The tree's boxes of this depth, or from one depth to another, by their edges. The
-            root's is 0.
-        rays : array_like, shape (n, 2, ndim), optional
-            The two ends of each.
-        hits : array_like, shape (m, ndim), optional
-            Points.
-
-        Returns
-        -------
-        matplotlib axes
-        """
-        axes = plotting.picture(axes, self.bounds, self.ndim, rays, hits)
-        plotting.add_boxes(axes, *self.boxes(self.ids()), plotting.PALETTE[0])
-        if levels is not None:
-            depths = plotting.first_and_last(levels)
-            plotting.add_levels(axes, *self.levels(*depths, plotting.MOST_BOXES))
-        return axes
 
     def cost(self) -> float:
         """Sum over the inner nodes of area / area of the root (perimeter in 2D); the number of

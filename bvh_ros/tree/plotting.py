@@ -2,7 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Pictures of boxes, rays and hits with matplotlib, which is imported when one is drawn."""
 
-from typing import Any
+from collections.abc import Callable, Mapping
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -12,20 +13,21 @@ from . import checks
 Floats = NDArray[np.float64]
 Levels = int | tuple[int, int] | None
 
-# Told apart by people who see colours differently (Okabe and Ito 2008).
+# Told apart by people who see colours differently (Okabe and Ito 2008; the last one is ours).
+# Rays have two other colours.
 PALETTE = np.array(
     [
         (0.34, 0.71, 0.91),
         (0.90, 0.62, 0.00),
-        (0.00, 0.62, 0.45),
+        (0.00, 0.45, 0.70),
         (0.80, 0.47, 0.65),
         (0.94, 0.89, 0.26),
-        (0.00, 0.45, 0.70),
-        (0.84, 0.37, 0.00),
+        (0.45, 0.33, 0.68),
     ]
 )
-FREE_WAY, BLOCKED_WAY = PALETTE[2], PALETTE[6]
+FREE_WAY, BLOCKED_WAY = np.array((0.00, 0.62, 0.45)), np.array((0.84, 0.37, 0.00))
 MOST_BOXES = 10**9  # of the tree's levels: all
+MOST_IN_LEGEND = 12
 ROOM = 0.03  # around what is drawn, a share of its size
 
 # Corner k of a box has the upper coordinate on axis a where bit a of k is set.
@@ -38,65 +40,96 @@ SIDES = np.array(
 RING = np.array((0, 1, 3, 2))  # the corners of a flat box, in turn
 
 
-def picture(
-    axes: Any, bounds: tuple[Floats, Floats] | None, ndim: int, rays: Any, hits: Any
-) -> Any:
-    """Axes that show all of the world, drawn with rays and hits; new ones if `axes` is None.
+class World(NamedTuple):
+    """What a picture shows."""
 
-    `bounds` is the box around the world, `rays` (n, 2, ndim) their two ends, `hits` (m, ndim).
+    ndim: int
+    bounds: tuple[Floats, Floats] | None  # two corners (ndim,); None: it is empty
+    # By name, polygons (k, ndim); in space counter-clockwise seen from outside.
+    faces: Mapping[str, Any]
+    # lo, hi and depth of the tree's boxes from one depth to another, so many at most.
+    levels: Callable[[int, int, int], tuple[Floats, Floats, NDArray[np.int64]]]
+    # Takes starts and goals (n, ndim); returns t (n,) of the first hits, 1 at the goal; inf: free.
+    cast: Callable[[Floats, Floats], Floats]
+
+
+def picture(axes: Any, world: World, levels: Levels, rays: Any, hits: Any) -> Any:
+    """Axes with the world, rays to their first hits, more hits, and a legend; new axes if None.
+
+    `rays` are the two ends (n, 2, ndim) of each, `hits` points (m, ndim).
     """
-    segments = _points('rays', rays, (2, ndim))
-    spots = _points('hits', hits, (ndim,))
+    ndim = world.ndim
+    segments, spots = _points('rays', rays, (2, ndim)), _points('hits', hits, (ndim,))
+    depths = None if levels is None else first_and_last(levels)
     if axes is None:
         axes = _new_axes(ndim)
     elif hasattr(axes, 'set_zlim') != (ndim == 3):
         raise ValueError(f'axes must have {ndim} dimensions, as what is drawn has')
-    places = [*(bounds or ()), *segments.reshape(-1, ndim), *spots]
+    places = [*(world.bounds or ()), *segments.reshape(-1, ndim), *spots]
     if places:
         _show_all(axes, np.min(places, axis=0), np.max(places, axis=0))
+    key = {name: PALETTE[k % len(PALETTE)] for k, name in enumerate(world.faces)}
+    faces = [(face, key[name]) for name, several in world.faces.items() for face in several]
+    _add_faces(axes, faces)
+    lines = {}
+    if depths is not None:
+        lo, hi, depth = world.levels(*depths, MOST_BOXES)
+        colours, sides = PALETTE[-1 - depth % len(PALETTE)], edges(lo, hi)
+        _add_lines(axes, sides, np.repeat(colours, len(sides) // max(1, len(lo)), axis=0), 0.9)
+        lines = {f'depth {k}': PALETTE[-1 - k % len(PALETTE)] for k in np.unique(depth).tolist()}
+    t = world.cast(segments[:, 0], segments[:, 1]) if len(segments) else np.empty(0)
+    blocked, ways = np.isfinite(t), segments[:, 1] - segments[:, 0]
+    ends = segments[:, 0] + np.where(blocked, t, 1.0)[:, None] * ways
     if len(segments):
-        _add_lines(axes, segments, [BLOCKED_WAY if len(spots) else FREE_WAY], 1.6)
+        rays = np.stack((segments[:, 0], ends), axis=1)
+        _add_lines(axes, rays, np.where(blocked[:, None], BLOCKED_WAY, FREE_WAY), 1.8)
+        lines |= {'free ray': FREE_WAY} if not blocked.all() else {}
+        lines |= {'ray to its hit': BLOCKED_WAY} if blocked.any() else {}
+    spots = np.concatenate((spots, ends[blocked]))
     if len(spots):
-        axes.plot(
-            *spots.T, 'o', color=BLOCKED_WAY, markeredgecolor='white', zorder=9, **_whole(ndim)
-        )
+        dots = {'marker': 'o', 'ls': '', 'color': BLOCKED_WAY, 'mec': 'white', 'zorder': 9}
+        axes.plot(*spots.T, label='hit', **dots, **_whole(ndim))
+    _add_legend(axes, key, lines)
     return axes
 
 
-def add_boxes(axes: Any, lo: Floats, hi: Floats, colour: ArrayLike) -> None:
-    """Draw boxes (n, ndim) by their sides."""
+def _add_legend(axes: Any, faces: Mapping[str, ArrayLike], lines: Mapping[str, ArrayLike]) -> None:
+    """Name the colours of faces and lines, and what has a label."""
+    from matplotlib.lines import Line2D
+    from matplotlib.patches import Patch
+
+    handles: list[Any] = [Patch(color=colour, label=name) for name, colour in faces.items()]
+    handles += [Line2D([], [], color=colour, label=name) for name, colour in lines.items()]
+    handles = handles[:MOST_IN_LEGEND] + axes.get_legend_handles_labels()[0]
+    if handles:
+        axes.legend(handles=handles, loc='upper left', bbox_to_anchor=(1.0, 1.0), frameon=False)
+
+
+def box_faces(lo: Floats, hi: Floats) -> Floats:
+    """The sides of boxes (n, 3), or the boxes (n, 2) themselves, as polygons (m, 4, ndim)."""
     corners = corners_of(lo, hi)
-    rings = corners[:, RING] if lo.shape[1] == 2 else corners[:, SIDES].reshape(-1, 4, 3)
-    add_faces(axes, rings, colour)
+    return corners[:, RING] if lo.shape[1] == 2 else corners[:, SIDES].reshape(-1, 4, 3)
 
 
-def add_faces(axes: Any, faces: Any, colours: ArrayLike) -> None:
-    """Draw polygons, each (k, 2) in the plane or (k, 3), counter-clockwise seen from outside, in
-    one colour or each in its own.
-    """
-    if not len(faces):
+def _add_faces(axes: Any, faces: list[tuple[Any, Any]]) -> None:
+    """Draw polygons, each in its colour."""
+    if not faces:
         return
+    polygons, colours = zip(*faces, strict=True)
     if hasattr(axes, 'set_zlim'):
         from matplotlib.colors import LightSource
         from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
         light = LightSource(azdeg=250.0, altdeg=55.0)
         lit = Poly3DCollection(
-            faces, facecolors=colours, shade=True, lightsource=light, **_whole(3)
+            polygons, facecolors=colours, shade=True, lightsource=light, **_whole(3)
         )
         axes.add_collection3d(lit, autolim=False)
         return
     from matplotlib.collections import PolyCollection
 
-    axes.add_collection(PolyCollection(faces, facecolors=colours, edgecolors='white', alpha=0.9))
-
-
-def add_levels(axes: Any, lo: Floats, hi: Floats, depths: NDArray[np.int64]) -> None:
-    """Draw the tree's boxes by their edges, each depth in a colour of its own."""
-    segments = edges(lo, hi)
-    each = len(segments) // max(len(lo), 1)
-    colours = np.repeat(PALETTE[depths % len(PALETTE)], each, axis=0)
-    _add_lines(axes, segments, colours, 0.9)
+    flat = PolyCollection(polygons, facecolors=colours, edgecolors='white', alpha=0.9)
+    axes.add_collection(flat)
 
 
 def first_and_last(levels: Levels) -> tuple[int, int]:
@@ -136,7 +169,7 @@ def _whole(ndim: int) -> dict[str, bool]:
 def _new_axes(ndim: int) -> Any:
     from matplotlib import pyplot
 
-    figure = pyplot.figure(figsize=(9, 6))
+    figure = pyplot.figure(figsize=(9, 6), layout='constrained' if ndim == 2 else None)
     axes = figure.add_subplot(projection='3d' if ndim == 3 else None)
     axes.set_xlabel('x [m]', labelpad=12 if ndim == 3 else None)
     axes.set_ylabel('y [m]')
@@ -145,7 +178,7 @@ def _new_axes(ndim: int) -> Any:
         axes.zaxis.set_major_locator(pyplot.MaxNLocator(3))
         axes.view_init(elev=40.0, azim=-65.0)
         axes.computed_zorder = False  # rays and hits are seen through what is in front of them
-        figure.subplots_adjust(0.0, 0.0, 0.97, 0.94)
+        figure.subplots_adjust(0.02, 0.0, 0.82, 0.93)  # room for a title and the legend
     return axes
 
 

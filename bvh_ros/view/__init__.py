@@ -3,5 +3,5 @@
 """`bvh_view`: a live node, a recording or a saved tree in a browser.
 
 `worlds`, `recorded` and `live` are what can be looked at, without a browser; `page` shows it with
-viser, and `panel`, `stage`, `drawing`, `picking` and `probe` are its parts.
+viser, and `panel`, `stage`, `drawing` and `picking` are its parts.
 """

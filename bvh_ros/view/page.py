@@ -17,7 +17,7 @@ from bvh_ros.ros.conversions.outlines import edges
 from bvh_ros.scene import Shapes
 from bvh_ros.tree.access import PALETTE
 from bvh_ros.view.drawing import Lines, Obstacles, Overlays, Placing
-from bvh_ros.view.panel import BY_NAMESPACE, Panel, Probe, write
+from bvh_ros.view.panel import Panel, Probe, write
 from bvh_ros.view.picking import Picking
 from bvh_ros.view.stage import LocalServer, Stage
 from bvh_ros.view.worlds import Floats, Namespaces, ShownWorld, Wanted
@@ -42,6 +42,7 @@ class Page:
         self._obstacles = Obstacles(server, placing)
         self._overlays = Overlays(server, placing)
         self._tree = Lines(server, placing, '/tree', 1.5)
+        self.numbers: dict[str, int] = {}  # of colours, by namespace or source
         self._namespaces = Namespaces()
         self._scene = world.scene
         self._shown: Hashable = None
@@ -76,7 +77,7 @@ class Page:
             self.todo.get()()
         panel, now = self.panel, time.monotonic()
         self.world.want(Wanted(panel.tree.value, panel.queries.value, panel.scan.value))
-        version = (self.world.version(), panel.colour.value)
+        version = self.world.version()
         if version != self._shown:
             self._shown = version
             self._draw_obstacles()
@@ -89,12 +90,15 @@ class Page:
             self._draw_tree(version)
         if now - self._told_at >= FIGURES_EVERY:
             self._told_at = now
-            panel.tell(self.world.title, self._obstacles.count, self.world.figures())
+            panel.tell(
+                self.world.title, self._obstacles.count, self.probe.milliseconds,
+                self.world.figures(),
+            )  # fmt: skip
             self._picking.tell()
 
     def ask(self) -> None:
         """Begin with what the panel says is to be asked."""
-        self.probe.choose(self.panel.ask.value, self.stage.middle, self.stage.size)
+        self.probe.choose(self.panel.ask.value, *self.stage.bounds, self.stage.size)
 
     def _draw_obstacles(self) -> None:
         if self.world.scene is not self._scene:  # a node that came back has another
@@ -102,17 +106,17 @@ class Page:
             self.stage.draw_frames()
         groups = self.world.groups()
         some = [group.shapes for group in groups if len(group.shapes.kind)]
-        self.stage.fit([_around(shapes) for shapes in some])
-        if self.panel.colour.value == BY_NAMESPACE:
-            named = self._namespaces.split(self.world.scene, groups)
-        else:
-            named = [(group.source, group.shapes) for group in groups]
+        if self.stage.fit([_around(shapes) for shapes in some]):
+            self.ask()
+        named = self._namespaces.split(self.world.scene, groups)
         legend: Counter[str] = Counter()
         for name, shapes in named:
             legend[name] += len(shapes.kind)
-        numbers = {name: number for number, name in enumerate(legend)}
-        self._obstacles.draw([(numbers[name], shapes) for name, shapes in named])
-        self.panel.tell_legend({name: (numbers[name], count) for name, count in legend.items()})
+        for name in legend:  # each keeps its colour
+            self.numbers.setdefault(name, len(self.numbers))
+        self._obstacles.draw([(self.numbers[name], shapes) for name, shapes in named])
+        shown = [name for name in self.numbers if legend[name]]
+        self.panel.tell_legend({name: (self.numbers[name], legend[name]) for name in shown})
         self._picking.go_on()
 
     def _draw_tree(self, version: Hashable) -> None:

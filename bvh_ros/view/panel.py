@@ -4,6 +4,8 @@
 
 from __future__ import annotations
 
+import time
+from collections import deque
 from collections.abc import Callable, Hashable, Mapping
 from html import escape
 from typing import Any
@@ -20,7 +22,8 @@ from bvh_ros.view.worlds import NO_POINTS, Answer, Floats, Recording, ShownWorld
 
 
 NOTHING, SEGMENT, BOX = 'nothing', 'a segment', 'a box'
-CHOICES = (NOTHING, SEGMENT, BOX)
+CHOICES = (SEGMENT, BOX, NOTHING)
+AHEAD = 0.1  # of the world's length: that far outside it the first segment begins
 SHOWN = 5  # names of a longer answer
 
 
@@ -35,18 +38,25 @@ class Probe:
         self._label = Shown(server, server.scene.add_label, '/ask/answer', anchor='bottom-center')
         self._query: Hashable = None
         self.kind = NOTHING
-        self.answer = ''
+        self.answer, self.milliseconds = '', 0.0
 
-    def choose(self, kind: str, middle: Floats, size: float) -> None:
-        """Begin with two handles about the middle of the world, or end; both as on the page."""
-        self.kind, self._query, self.answer = kind, None, ''
+    def choose(self, kind: str, lo: Floats, hi: Floats, size: float) -> None:
+        """Begin with two handles in the world between two corners, or end; all as on the page.
+
+        A segment goes through the middle, lengthwise.
+        """
+        self.kind, self._query = kind, None
+        self.answer, self.milliseconds = '', 0.0
         for handle in self._handles:
             handle.remove()
         self._handles.clear()
         if kind == NOTHING:
             self._show(np.empty((0, 2, 3)), NO_POINTS, '', 1.0)
             return
-        reach = np.array((0.25, 0.12, 0.02)) * size
+        middle, reach = 0.5 * lo + 0.5 * hi, np.array((0.25, 0.12, 0.02)) * size
+        if kind == SEGMENT:
+            along = np.arange(3) == np.argmax((hi - lo)[:2])
+            reach = np.where(along, (0.5 + AHEAD) * (hi - lo), 0.0)
         for name, place in (('a', middle - reach), ('b', middle + reach)):
             handle = self._server.scene.add_transform_controls(
                 f'/ask/{name}', scale=0.09 * size, disable_rotations=True, position=place,
@@ -81,7 +91,7 @@ class Probe:
         except (RuntimeError, ValueError) as error:
             self.answer = escape(f'no answer: {error}')
             return
-        self.answer = in_words(answer)
+        self.answer, self.milliseconds = in_words(answer), 1e-3 * answer.microseconds
         spots = np.array([hit.point for hit in answer.hits]).reshape(-1, 3)
         lines = np.stack((one, other))[None]
         if self.kind == BOX:
@@ -104,13 +114,13 @@ class Probe:
 
 def in_words(answer: Answer) -> str:
     """The obstacles hit, where, and the time of the query, as HTML."""
-    took = f'{answer.microseconds:,.0f} us'
+    took = f'<span style="white-space:nowrap">· {answer.microseconds:,.0f} us</span>'
     if not answer.hits:
-        return f'<b>free</b> · {took}'
+        return f'<b>free</b> {took}'
     names = ', '.join(f'<b>{escape(hit.name)}</b>' for hit in answer.hits[:SHOWN])
     rest = len(answer.hits) - SHOWN
     more = f' and {rest} more' if rest > 0 else ''
-    return f'{names}{more} at ({in_digits(*answer.hits[0].point)}) m · {took}'
+    return f'{names}{more} at ({in_digits(*answer.hits[0].point)}) m {took}'
 
 
 def in_digits(*metres: float) -> str:
@@ -124,9 +134,9 @@ def in_digits(*metres: float) -> str:
 # ---- The controls and figures beside the picture
 
 
-BY_SOURCE, BY_NAMESPACE = 'source', 'namespace'
 MOST_IN_LEGEND = 12
 SPEEDS = ('0.1', '0.25', '0.5', '1', '2', '5', '10')
+KEPT = 240  # points of the time line: two minutes
 Do = Callable[[Callable[[], object]], None]
 
 
@@ -140,24 +150,25 @@ class Panel:
     def __init__(self, server: viser.ViserServer, world: ShownWorld, do: Do) -> None:
         self._gui, self._do = server.gui, do
         self._recording: Recording | None = None
-        self.figures = self._gui.add_html('')
-        write(self.figures, f'<b>{escape(world.title)}</b>')
+        self._title = self._gui.add_html('')
+        write(self._title, f'<b>{escape(world.title)}</b>')
         self.legend = self._gui.add_html('')
         if isinstance(world, Recording):
             self._add_player(world)
-        with self._gui.add_folder('Clicked'):
-            self.picked = self._gui.add_html('')
-            self.follow = self._gui.add_checkbox('follow', False, disabled=True)
         with self._gui.add_folder('Ask'):
             self.ask = self._gui.add_dropdown('with', CHOICES)
             self.answer = self._gui.add_html('')
+        with self._gui.add_folder('Clicked'):
+            self.picked = self._gui.add_html('')
+            self.follow = self._gui.add_checkbox('follow', False, disabled=True)
+        with self._gui.add_folder('Time line'):
+            self._line = TimeLine(self._gui)
         with self._gui.add_folder('Tree'):
             self.tree = self._gui.add_checkbox('boxes', False)
             deepest = max(1, world.height)
             self.depths = self._gui.add_multi_slider('depths', 0, deepest, 1, (0, min(3, deepest)))
         with self._gui.add_folder('Show'):
             self.all = self._gui.add_button('Look at all')
-            self.colour = self._gui.add_dropdown('colours by', (BY_SOURCE, BY_NAMESPACE))
             self.queries = self._gui.add_checkbox('queries and hits', world.has_queries)
             self.queries.visible = world.has_queries
             self.scan = self._gui.add_checkbox('virtual scan', world.has_scan)
@@ -166,6 +177,8 @@ class Panel:
             self.frames = self._gui.add_checkbox('frames', True)
             self.shadows = self._gui.add_checkbox('shadows', True)
             self.dark = self._gui.add_checkbox('dark', False)
+        with self._gui.add_folder('Statistics', expand_by_default=False):
+            self._figures = self._gui.add_html('')
 
     def _add_player(self, recording: Recording) -> None:
         self._recording = recording
@@ -173,12 +186,10 @@ class Panel:
             self._time = self._gui.add_slider(
                 'time [s]', 0.0, max(recording.seconds, 0.01), 0.01, 0
             )
-            self._play = self._gui.add_button('Pause')
-            step = self._gui.add_button('Step')
+            buttons = self._gui.add_button_group('', ('Play', 'Pause', 'Step'))
             speed = self._gui.add_dropdown('speed', SPEEDS, initial_value='1')
         self.on(self._time, lambda: self._seek(recording))
-        self.on_click(self._play, lambda: self._toggle(recording))
-        self.on_click(step, recording.step)
+        self.on_click(buttons, lambda: self._press(recording, buttons.value))
         self.on(speed, lambda: setattr(recording, 'speed', float(speed.value)))
 
     def _seek(self, recording: Recording) -> None:
@@ -186,8 +197,11 @@ class Panel:
             recording.playing = False
             recording.seek(self._time.value)
 
-    def _toggle(self, recording: Recording) -> None:
-        recording.playing = not recording.playing
+    def _press(self, recording: Recording, button: str) -> None:
+        if button == 'Step':
+            recording.step()
+        else:
+            recording.playing = button == 'Play'
 
     def on(self, control: Any, act: Callable[[], object]) -> None:
         """Have something done when a control is set by somebody in a browser."""
@@ -197,32 +211,73 @@ class Panel:
         """Have something done when a button is clicked."""
         button.on_click(lambda _event: self._do(act))
 
-    def tell(self, title: str, count: int, figures: Mapping[str, str]) -> None:
-        """Write the figures, and where a recording is."""
-        rows = [_row(escape(key), escape(value)) for key, value in figures.items()]
-        write(self.figures, f'<b>{count:,} obstacles</b> · {escape(title)}', *rows)
+    def tell(
+        self, title: str, count: int, milliseconds: float, figures: Mapping[str, str]
+    ) -> None:
+        """Write how many obstacles there are, how long the last answer took, the figures, and
+        where a recording is.
+        """
+        write(self._title, f'<b>{count:,} obstacles</b> · {escape(title)}')
+        write(self._figures, *(_row(escape(key), escape(value)) for key, value in figures.items()))
+        self._line.add(count, milliseconds)
         if self._recording is not None:
             self._time.value = round(min(self._recording.t, self._recording.seconds), 2)
-            label = 'Pause' if self._recording.playing else 'Play'
-            if self._play.label != label:
-                self._play.label = label
 
     def tell_legend(self, legend: Mapping[str, tuple[int, int]]) -> None:
         """Write which colour stands for what; `legend` gives a colour's number and a count."""
         lines = []
         for name, (number, count) in list(legend.items())[:MOST_IN_LEGEND]:
-            colour = 'rgb({},{},{})'.format(*COLOURS[number % len(COLOURS)])
-            square = f'width:.8em;height:.8em;border-radius:2px;background:{colour}'
+            square = f'width:.8em;height:.8em;border-radius:2px;background:{_css(number)}'
             lines.append(_row(escape(name), f'{count:,}', f'<span style="{square}"></span>'))
         if len(legend) > MOST_IN_LEGEND:
             lines.append(f'<div>and {len(legend) - MOST_IN_LEGEND} more</div>')
         write(self.legend, *lines)
 
 
+class TimeLine:
+    """The number of obstacles, and how long answers took, over the last minutes."""
+
+    def __init__(self, gui: viser.GuiApi) -> None:
+        self._began = time.monotonic()
+        self._rows = deque[tuple[float, int, float]]((), KEPT)
+        axis = {'font': '10px sans-serif', 'size': 34, 'gap': 2, 'ticks': {'show': False}}
+        lines, none, up = {'stroke': '#8884', 'width': 1}, {'show': False}, {'soft': 0, 'mode': 1}
+        scale = {'range': {'min': up, 'max': {'pad': 0.1, 'soft': 0, 'mode': 0}}}
+        count, took = _css(2), _css(1)
+        self._plot = gui.add_uplot(
+            self._columns(),
+            (
+                {'label': 's'},
+                {'label': 'obstacles', 'scale': 'count', 'stroke': count, 'width': 2},
+                {'label': 'answer [ms]', 'scale': 'ms', 'stroke': took, 'width': 2},
+            ),
+            scales={'x': {'time': False}, 'count': scale, 'ms': scale},
+            axes=(
+                {**axis, 'size': 24, 'stroke': '#888', 'grid': none},
+                {**axis, 'scale': 'count', 'stroke': count, 'grid': lines},
+                {**axis, 'scale': 'ms', 'side': 1, 'stroke': took, 'grid': none},
+            ),
+            padding=(8, 0, 0, 0),
+            aspect=1.9,
+        )
+
+    def add(self, count: int, milliseconds: float) -> None:
+        """Add a point at this time."""
+        self._rows.append((time.monotonic() - self._began, count, milliseconds))
+        self._plot.data = self._columns()
+
+    def _columns(self) -> tuple[Floats, ...]:
+        return tuple(np.array(self._rows, np.float64).reshape(-1, 3).T.copy())
+
+
+def _css(number: int) -> str:
+    return 'rgb({},{},{})'.format(*COLOURS[number % len(COLOURS)])
+
+
 def _row(left: str, right: str, before: str = '') -> str:
     """A line of HTML with something at either end."""
     return (
-        f'<div style="display:flex;gap:.5em;align-items:center">{before}'
+        f'<div style="display:flex;gap:.5em;align-items:center;padding-right:.7em">{before}'
         f'<span style="flex:1">{left}</span><span>{right}</span></div>'
     )
 
@@ -234,7 +289,7 @@ def write(handle: Any, *lines: str) -> None:
     are written: each is sent to every browser.
     """
     each = ''.join(f'<div>{line}</div>' for line in lines)
-    style = 'padding:.1em 1.2em .5em .8em;font-size:.85em;line-height:1.55;overflow-wrap:anywhere'
+    style = 'padding:.1em .5em .5em .8em;font-size:.82em;line-height:1.55;overflow-wrap:anywhere'
     text = f'<div style="{style}">{each}</div>'
     if handle.content != text:
         handle.content = text

@@ -44,6 +44,7 @@ class LocalServer(viser.ViserServer):
 LIGHT, DARK = ((215, 215, 215), (170, 170, 170)), ((62, 66, 72), (88, 92, 98))
 GROWN = 1.5  # times its last size: then the grid is made anew
 NEAR, FAR = 1e-3, 30.0  # what a camera sees, in sizes of the world
+AWAY, FOV = 1.7, 0.76  # where it stands at first, in sizes of the world; rad, from top to bottom
 
 
 class Stage:
@@ -65,15 +66,14 @@ class Stage:
         self.draw_frames()
 
     @property
-    def middle(self) -> Floats:
-        """Of the world, on the page."""
-        lo, hi = self._bounds or (np.zeros(3), np.ones(3))
-        return 0.5 * lo + 0.5 * hi
+    def bounds(self) -> tuple[Floats, Floats]:
+        """Two corners of the world, on the page."""
+        return self._bounds or (np.zeros(3), np.ones(3))
 
-    def fit(self, bounds: Sequence[tuple[Floats, Floats]]) -> None:
-        """Be as large as boxes (lo, hi), m; look at them once there are some."""
+    def fit(self, bounds: Sequence[tuple[Floats, Floats]]) -> bool:
+        """Be as large as boxes (lo, hi), m. Look at the first ones; return whether these are."""
         if not bounds:
-            return
+            return False
         lo = np.min([one for one, _ in bounds], axis=0)
         hi = np.max([one for _, one in bounds], axis=0)
         first = self._bounds is None
@@ -89,6 +89,7 @@ class Stage:
             self.draw_frames()
         if first:
             self.look_at_all()
+        return first
 
     def look_at_all(self) -> None:
         """Have all cameras see the whole world."""
@@ -97,12 +98,12 @@ class Stage:
         lo, hi = self._bounds
         self.size = max(float((hi - lo).max()), 1e-3)
         self._set_reach()
-        middle = self.middle
+        middle = 0.5 * lo + 0.5 * hi
         middle[2] = lo[2]
-        away = (0.0, -0.02, 1.0) if self._world.scene.planar else (-0.42, -0.72, 0.52)
-        place = middle + 1.05 * self.size * np.array(away)
+        away = (0.0, -0.02, 1.0) if self._world.scene.planar else (-0.57, -0.64, 0.52)
+        place = middle + AWAY * self.size * np.array(away)
         for camera in self._cameras():
-            camera.position, camera.look_at = place, middle
+            camera.position, camera.look_at, camera.fov = place, middle, FOV
 
     def _set_reach(self) -> None:
         """What is nearer or farther than that, no camera sees."""
@@ -138,9 +139,10 @@ class Stage:
         scene = self._server.scene
         scene.configure_default_lights(enabled=False, cast_shadow=False)
         scene.configure_environment_map(None)
-        scene.add_light_ambient('/lights/all_round', intensity=1.4)
+        scene.add_light_ambient('/lights/all_round', intensity=0.5)
+        scene.add_light_hemisphere('/lights/sky', intensity=1.1, ground_color=(150, 150, 165))
         scene.add_light_directional(
-            '/lights/sun', intensity=2.2, position=(-1.0, -2.0, 3.0), cast_shadow=shadows
+            '/lights/sun', intensity=2.3, position=(1.2, -2.2, 3.2), cast_shadow=shadows
         )
 
     def draw_frames(self) -> None:

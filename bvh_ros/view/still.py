@@ -29,11 +29,10 @@ class Answering:
     def raycast(self, start: Sequence[float], end: Sequence[float], radius: float = 0.0) -> Any:
         """Ask as `BvhClient.raycast` does."""
         hit = self._scene.raycast(start, end, radius)
-        self.rays.append((start, end))
-        if hit is not None:
+        if hit is not None and radius:  # the ball's middle goes so far
             self.hits.append(hit.point.tolist())
-            step = hit.t * np.subtract(end, start)
-            self.rays[-1] = (start, (np.array(start) + step).tolist())
+            end = (start + hit.t * np.subtract(end, start)).tolist()
+        self.rays.append((start, end))
         return hit
 
     def overlap(

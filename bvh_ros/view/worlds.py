@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from bvh_ros.scene import NodeScene, Numbered, Shapes
 from bvh_ros.tree import DynamicBVH
+from bvh_ros.tree.access import PALETTE
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -239,8 +240,15 @@ def _upright(corners: Floats) -> Floats:
 # ---- Groups of obstacles by the beginning of their names
 
 
+MOST_NAMESPACES = len(PALETTE)  # of a source; of more, colours would repeat
+
+
 class Namespaces:
-    """Knows the namespace of each handle; only newcomers are looked at."""
+    """Splits sources into namespaces; only new handles are looked at.
+
+    An obstacle without a namespace goes by its source, as do all of a source that has too many
+    namespaces, or whose handles are not known.
+    """
 
     def __init__(self) -> None:
         self._numbers: dict[str, int] = {}
@@ -248,17 +256,18 @@ class Namespaces:
         self._of = np.empty(0, np.int64)  # their namespaces' numbers
 
     def split(self, scene: NodeScene, groups: Sequence[Group]) -> list[tuple[str, Shapes]]:
-        """Return namespaces and shapes; those of a group without handles go by their source."""
+        """Return the parts of all groups, each with the name of its namespace or source."""
         self._learn(scene)
         found = []
         names = list(self._numbers)
         for source, shapes, handles in groups:
-            if len(handles) != len(shapes.kind):
+            numbers = self._of[np.searchsorted(self._handles, handles)]
+            present = np.unique(numbers).tolist()
+            if len(handles) != len(shapes.kind) or len(present) > MOST_NAMESPACES:
                 found.append((source, shapes))
                 continue
-            numbers = self._of[np.searchsorted(self._handles, handles)]
-            for number in np.unique(numbers).tolist():
-                found.append((names[number], shapes.take(numbers == number)))
+            for number in present:
+                found.append((names[number] or source, shapes.take(numbers == number)))
         return found
 
     def _learn(self, scene: NodeScene) -> None:
@@ -274,9 +283,8 @@ class Namespaces:
 
 
 def namespace_of(name: str) -> str:
-    """`ns` of `ns/id` and of `ns/id#k`; `source` of `source#k`."""
-    marker = name.partition('#')[0]
-    return marker.rpartition('/')[0] or marker
+    """`ns` of `ns/id` and of `ns/id#k`; empty without one."""
+    return name.partition('#')[0].rpartition('/')[0]
 
 
 # ---- A recording with its own clock: play, pause and step

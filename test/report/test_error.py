@@ -9,9 +9,26 @@ import numpy as np
 import pytest
 from tree.reference import effort, exact_hits
 
-from bvh_ros.report.error.methods import box_methods, front
+from bvh_ros.report.error.methods import (
+    APART,
+    COLOURS,
+    LETTERS,
+    WRONG,
+    Point,
+    box_methods,
+    front,
+    tradeoff,
+)
 from bvh_ros.report.error.traffic import moments_of, observer, tracks, traffic_truths, world_at
-from bvh_ros.report.error.truth import NOTHING, Answer, boxes_truth, joined, score, shapes_truth
+from bvh_ros.report.error.truth import (
+    NOTHING,
+    Answer,
+    Score,
+    boxes_truth,
+    joined,
+    score,
+    shapes_truth,
+)
 from bvh_ros.report.error.worlds import (
     corner_rays,
     rays_round,
@@ -122,6 +139,28 @@ def test_only_rounded_decisions_are_wrong_where_it_is_close():
 )
 def test_front(points, expected):
     assert front(points) == expected
+
+
+def point(name, time, wrong):
+    return Point(name, time, Score(100, wrong, 0, 0, 0.0, np.zeros(1), 0.0, 0.0))
+
+
+def test_letters_do_not_overlap_and_an_exact_answer_is_at_zero():
+    pytest.importorskip('matplotlib', reason='matplotlib is not installed')
+    assert len(set(LETTERS.values())) == len(LETTERS) == len(COLOURS)
+    names = [*COLOURS][:6]
+    points = [point(name, 1.0, 0 if k < 4 else 7) for k, name in enumerate(names)]
+    axes, *_ = tradeoff(points, [WRONG], 'any').axes
+    pixel = 72.0 / axes.figure.dpi
+    middles = []
+    for letter in axes.texts:
+        at = np.array(letter.xyann) + pixel * axes.transData.transform(letter.xy)
+        assert all(np.hypot(*(at - other)) >= APART for other in middles)
+        middles.append(at)
+    assert [letter.get_text() for letter in axes.texts] == [LETTERS[name] for name in names]
+    assert [letter.xy[1] for letter in axes.texts] == [0.0] * 4 + [0.07] * 2
+    assert '0' in [text.get_text() for text in axes.get_yticklabels()]
+    assert axes.get_ylim()[0] < 0.0
 
 
 @pytest.fixture(scope='module')

@@ -41,15 +41,40 @@ def test_levels(levels, boxes):
     assert len(lines) == 4 * boxes  # edges
 
 
-def test_rays_and_hits_in_space_are_within_the_picture():
+def test_rays_end_at_their_hits_which_are_marked():
+    """One ray meets the second box, one goes past all; one more hit is given."""
+    rays = [[(0.0, 1.5), (9.0, 1.5)], [(0.0, 9.0), (9.0, 9.0)]]
+    axes = DynamicBVH.from_boxes(LO[1:], HI[1:]).plot(rays=rays, hits=[(2.0, 2.0)])
+    assert [line.tolist() for line in drawn(axes)[1]] == [
+        [[0.0, 1.5], [4.0, 1.5]],
+        [*map(list, rays[1])],
+    ]
+    (dots,) = axes.lines
+    assert dots.get_xydata().tolist() == [[2.0, 2.0], [4.0, 1.5]]
+    named = [text.get_text() for text in axes.get_legend().get_texts()]
+    assert named == ['box', 'free ray', 'ray to its hit', 'hit']
+
+
+def test_levels_have_no_colour_of_rays():
+    axes = DynamicBVH.from_boxes(LO, HI).plot(levels=(0, 9), rays=[[(0.0, 1.5), (9.0, 1.5)]])
+    levels, rays = (lines.get_colors()[:, :3].tolist() for lines in axes.collections[1:])
+    assert rays[0] not in levels
+
+
+def test_a_picture_in_space_shows_all_and_its_text_is_whole():
     lo, hi = np.hstack((LO, [[0]] * 3)), np.hstack((HI, [[2]] * 3))
-    ray, hit = [(-3.0, 1.0, 1.0), (0.0, 1.0, 1.0)], (0.0, 1.0, 1.0)
-    axes = DynamicBVH.from_boxes(lo, hi).plot(rays=[ray], hits=[hit], levels=0)
+    axes = DynamicBVH.from_boxes(lo, hi).plot(rays=[[(-3.0, 1.0, 1.0), (5.0, 1.0, 1.0)]], levels=0)
     assert axes.get_xlim()[0] <= -3.0
     assert axes.get_zlim()[1] >= 2.0
     (dots,) = axes.lines
-    assert [float(place[0]) for place in dots.get_data_3d()] == list(hit)
+    assert [float(place[0]) for place in dots.get_data_3d()] == [0.0, 1.0, 1.0]
+    axes.set_title('A title')
     assert_seen(axes, (0.34, 0.71, 0.91))
+    inside = axes.get_tightbbox(axes.figure.canvas.get_renderer())
+    assert inside.x0 >= 0.0
+    assert inside.y0 >= 0.0
+    assert inside.x1 <= axes.figure.bbox.x1
+    assert inside.y1 <= axes.figure.bbox.y1
 
 
 def assert_seen(axes, colour):

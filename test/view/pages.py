@@ -18,7 +18,7 @@ from bvh_ros.scene.shapes.shape import rotations
 from bvh_ros.tree.plotting import PALETTE
 from bvh_ros.view.page import Page
 from bvh_ros.view.stage import LocalServer
-from bvh_ros.view.worlds import ShownWorld
+from bvh_ros.view.worlds import ShownWorld, namespace_of
 
 TIMEOUT = 90.0  # seconds: WebGL without a graphics card is slow
 HUE = 0.06  # of the whole circle: shading changes hues a little
@@ -35,9 +35,10 @@ def until(condition: Callable[[], Any], what: str) -> Any:
 
 @contextlib.contextmanager
 def shown(world: ShownWorld) -> Iterator[Page]:
-    """A page that is served until the end, without shadows, grid and frames."""
+    """A page that is served until the end, without question, shadows, grid and frames."""
     server = LocalServer('127.0.0.1', 8200)
     page = Page(server, world)
+    page.panel.ask.value = 'nothing'
     for control in (page.panel.shadows, page.panel.grid, page.panel.frames):
         control.value = False
     page.stage.set_theme()
@@ -132,12 +133,12 @@ def differences(browser: Any, page: Page, every: int = 5) -> tuple[int, int, int
     )
     ends = camera.position + 20.0 * page.stage.size * (ahead @ turn.T)
     scene, start = page.world.scene, page.placing.in_world(np.array(camera.position))
-    sources = scene.sources()
     wanted = np.full(right.shape, -1)
     for at in np.ndindex(*right.shape):
         hit = scene.raycast(start, page.placing.in_world(ends[at]))
         if hit is not None:
-            wanted[at] = sources.index(scene.get(hit.name).source)
+            name = namespace_of(hit.name) or scene.get(hit.name).source
+            wanted[at] = page.numbers[name] % len(PALETTE)
     inner = wanted[1:-1, 1:-1]
     sure = np.ones(inner.shape, bool)
     for side in (wanted[:-2, 1:-1], wanted[2:, 1:-1], wanted[1:-1, :-2], wanted[1:-1, 2:]):

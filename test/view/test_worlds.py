@@ -13,7 +13,7 @@ from bvh_ros import DynamicBVH
 from bvh_ros.scene import NodeScene, Shapes
 from bvh_ros.view.drawing import Placing
 from bvh_ros.view.main import _is_local, _open, main
-from bvh_ros.view.worlds import Namespaces, SavedTree, ShownWorld, namespace_of
+from bvh_ros.view.worlds import MOST_NAMESPACES, Namespaces, SavedTree, ShownWorld, namespace_of
 
 RNG = np.random.default_rng(4)
 
@@ -88,7 +88,7 @@ def test_a_file_that_holds_no_tree(tmp_path):
 
 @pytest.mark.parametrize(
     ('name', 'namespace'),
-    [('a/b/3', 'a/b'), ('a/3#17', 'a'), ('cloud#9', 'cloud'), ('box', 'box'), ('/3', '/3')],
+    [('a/b/3', 'a/b'), ('a/3#17', 'a'), ('cloud#9', ''), ('box', ''), ('/3', '')],
 )
 def test_the_namespace_of_a_name(name, namespace):
     assert namespace_of(name) == namespace
@@ -105,6 +105,20 @@ def test_namespaces_of_those_who_come_and_go():
         for letter in wanted:
             places = sorted(k for k, name in enumerate(names) if name[0] == letter)
             assert sorted(found[letter].position[:, 0].tolist()) == places
+
+
+def test_obstacles_without_namespace_or_with_too_many_go_by_their_source():
+    scene = NodeScene()
+    for source, names in (
+        ('cloud', ['cloud#1', 'cloud#2']),
+        ('mixed', ['a/1', 'post']),
+        ('many', [f'{k}/0' for k in range(MOST_NAMESPACES + 1)]),
+    ):
+        places = [(k, 0, 0) for k in range(len(names))]
+        scene.update(source, names, Shapes.boxes(places, 0.5), stamp=0)
+    found = Namespaces().split(scene, ShownWorld('', scene).groups())
+    counts = [(name, len(shapes.kind)) for name, shapes in found]
+    assert sorted(counts) == [('a', 1), ('cloud', 2), ('many', MOST_NAMESPACES + 1), ('mixed', 1)]
 
 
 def test_a_saved_tree_needs_no_ros_and_the_worlds_no_viser():

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ... import DynamicBVH, RayHits
-from ..page import BLACK, BLUE, GREEN, GREY, ORANGE, PINK, RED, SKY, Page
+from ..page import BLACK, BLUE, GREEN, GREY, ORANGE, PINK, PURPLE, RED, SKY, Page
 from ..scenes import Boxes, Rays
 from ..timing import Job, interleaved
 from . import plain
@@ -32,6 +32,8 @@ COLOURS = {
     'true world at every query': BLUE,
     **{f'{rate} Hz': GREEN for rate in RATES},
     **{f'{rate} Hz, predicted': SKY for rate in RATES},
+    'sweep between two poses': BLUE,
+    'poses on the way': PURPLE,
 }
 LETTERS = dict(zip(COLOURS, ascii_uppercase, strict=False))
 
@@ -186,7 +188,9 @@ def tradeoff(points: Sequence[Point], panels: Sequence[Panel], title: str) -> An
     figure.suptitle(title, x=0.01, ha='left', fontsize=10)
     figure.draw_without_rendering()  # now it is known where points lie in the picture
     for axes, panel, names in zip(every, panels, fronts, strict=True):
-        _draw_letters(axes, [(p.name, p.time, panel.error(p.score)) for p in points], names)
+        most = axes.get_ylim()[1]  # where an infinite error is drawn
+        shown = [(p.name, p.time, min(panel.error(p.score), most)) for p in points]
+        _draw_letters(axes, shown, names)
     return figure
 
 
@@ -202,21 +206,35 @@ def _panel(axes: Any, panel: Panel, points: Sequence[Point]) -> list[str]:
     times, errors = [p.time for p in points], [panel.error(p.score) for p in points]
     least = panel.least or 1.0 / most
     top = max(panel.most, 3 * max(e for e in errors if np.isfinite(e)))
-    axes.set(xscale='log', xlabel='run time a ray, µs', ylabel=panel.label)
+    axes.set(xlabel='run time a ray, µs', ylabel=panel.label)
+    scale(axes, times, least, top)
+    corners = [(pairs[best[0]][0], top), *(pairs[i] for i in best)]
+    corners.append((axes.get_xlim()[1], corners[-1][1]))
+    axes.plot(*zip(*corners, strict=True), drawstyle='steps-post', color=GREY, lw=1.2, zorder=1)
+    return [judged[i].name for i in best]
+
+
+def scale(axes: Any, times: Sequence[float], least: float, top: float) -> None:
+    """Logarithmic axes of run times, and of errors up to `top`, with a true zero below `least`."""
+    from matplotlib.ticker import LogLocator
+
+    axes.set_xscale('log')
     axes.set_yscale('symlog', linthresh=least, linscale=0.5)
     axes.set(xlim=(min(times) / 3, max(times) * 3), ylim=(-0.6 * least, top))
     low, high = (int(np.floor(np.log10(x))) for x in (least, top))
     step = -(-(high - low + 1) // 6)
     axes.set_yticks([0.0, *(10.0**k for k in range(high, low, -step))])
-    corners = [(pairs[best[0]][0], top), *(pairs[i] for i in best)]
-    corners.append((axes.get_xlim()[1], corners[-1][1]))
-    axes.plot(*zip(*corners, strict=True), drawstyle='steps-post', color=GREY, lw=1.2, zorder=1)
+    axes.xaxis.set_major_locator(LogLocator(subs=(1,) if max(times) > 30 * min(times) else (1, 3)))
     axes.grid(alpha=0.25, linewidth=0.6)
     axes.minorticks_off()
     axes.xaxis.set_major_formatter('{x:g}')
-    axes.yaxis.set_major_formatter('{x:g}')
+    axes.yaxis.set_major_formatter(_digits)
     axes.spines[['top', 'right']].set_visible(False)
-    return [judged[i].name for i in best]
+
+
+def _digits(value: float, _place: int) -> str:
+    exponent = round(np.log10(value)) if value else 0
+    return f'{value:g}' if exponent >= -3 else f'$10^{{{exponent}}}$'
 
 
 APART = 15.0  # points, between the middles of two letters

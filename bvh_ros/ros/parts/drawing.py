@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +16,7 @@ from bvh_ros.ros.conversions import outlines, rotations
 from bvh_ros.ros.conversions.query_clouds import FREE, UNANSWERED, Floats
 from bvh_ros.ros.parts.part import OnDemandPublisher
 from bvh_ros.scene import ShapeKind, Shapes
-from bvh_ros.tree.access import PALETTE
+from bvh_ros.tree.access import BLOCKED_WAY, FREE_WAY, PALETTE
 
 if TYPE_CHECKING:
     from rclpy.node import Node
@@ -156,26 +156,30 @@ def _sign(text: str, lo: outlines.Floats, hi: outlines.Floats) -> Drawing:
 # `~/queries`: the last questions and what they met, while somebody looks.
 
 RAY_LINE, SPOT = 0.01, 0.08  # m: width of a line, diameter of a hit
-FREE_WAY = (0.0, 0.62, 0.45, 1.0)
-BLOCKED_WAY = (0.84, 0.37, 0.0, 1.0)
+FREE_COLOUR, BLOCKED_COLOUR = ((*colour.tolist(), 1.0) for colour in (FREE_WAY, BLOCKED_WAY))
 EMPTY_WORLD = 10.0  # m that a ray without end is drawn long where there is nothing
 
 
-class QueryDrawing(OnDemandPublisher):
-    """Keeps the last lines and hits, up to a limit; green is free, red is not.
+class Answer(NamedTuple):
+    """What is drawn of an answer."""
 
-    A ray ends where it hits, and one without end some way behind the world. A box that was asked
-    about is drawn by its edges.
+    lines: Floats  # (n, 2, 3), m
+    blocked: NDArray[np.bool_]  # (n,), whether a line meets an obstacle
+    spots: Floats  # (m, 3), hits, m
+
+
+class QueryDrawing(OnDemandPublisher):
+    """Shows the last answer to each question since the last message; green is free, red is not.
+
+    So a question that is asked all the time leaves no trail of old hits. A ray ends where it hits,
+    and one without end some way behind the world. A box that was asked about is drawn by edges.
     """
 
     def __init__(self, node: Node, world: World, settings: DrawSettings) -> None:
         super().__init__(node, MarkerArray, '~/queries')
         self._world = world
         self._limit = settings.limit
-        self._new = False
-        self._lines = np.empty((0, 2, 3))
-        self._blocked = np.empty(0, bool)
-        self._spots = np.empty((0, 3))
+        self._answers: dict[object, Answer] = {}  # by question, the oldest first
 
     def add_rays(self, rays: Rays, hits: Hits) -> None:
         """Remember rays in the node's frame; those without an answer are left out."""
@@ -188,7 +192,9 @@ class QueryDrawing(OnDemandPublisher):
         t = np.where(blocked, hits.t[rows], np.minimum(rays.t_max[rows], beyond))
         t[lengths == 0.0] = 0.0
         ends = origins + t[:, None] * directions
-        self._remember(np.stack((origins, ends), axis=1), blocked, hits.points[rows][blocked])
+        question = origins.tobytes(), directions.tobytes()
+        lines = np.stack((origins, ends), axis=1)
+        self._remember(question, Answer(lines, blocked, hits.points[rows][blocked]))
 
     def add_query(self, query: Query, hits: Sequence[SceneHit], *, is_box: bool) -> None:
         """Remember what a service was asked and answered."""
@@ -201,32 +207,34 @@ class QueryDrawing(OnDemandPublisher):
             half = np.abs(half)[None] + query.tolerance
             ends = outlines.edges(-half, half)
             lines = (start + goal) * 0.5 + rotations.rotate(turn, ends)
-        self._remember(lines, np.full(len(lines), bool(hits)), spots)
+        blocked = np.full(len(lines), bool(hits))
+        self._remember((query, is_box), Answer(lines, blocked, spots))
 
     def message(self) -> bytes | None:
         """Return the serialised MarkerArray, or None if nothing was asked since the last."""
-        if not self._new:
+        if not self._answers:
             return None
-        self._new = False
-        colours = np.where(self._blocked[:, None], BLOCKED_WAY, FREE_WAY).astype(np.float32)
+        answers = zip(*self._answers.values(), strict=True)
+        lines, blocked, spots = (np.concatenate(one)[-self._limit :] for one in answers)
+        self._answers.clear()
+        colours = np.where(blocked[:, None], BLOCKED_COLOUR, FREE_COLOUR).astype(np.float32)
         drawings = [
             Drawing(
                 Marker.LINE_LIST, (RAY_LINE, 0.0, 0.0), namespace='rays',
-                points=self._lines.reshape(-1, 3), colours=np.repeat(colours, 2, axis=0),
+                points=lines.reshape(-1, 3), colours=np.repeat(colours, 2, axis=0),
             ),
-            Drawing(
-                Marker.SPHERE_LIST, (SPOT, SPOT, SPOT), BLOCKED_WAY, 'hits', points=self._spots
-            ),
+            Drawing(Marker.SPHERE_LIST, (SPOT, SPOT, SPOT), BLOCKED_COLOUR, 'hits', points=spots),
         ]  # fmt: skip
         frames, clock = self._world.frames, self.node.get_clock()
         return marker_array(drawings, frames.frame_id, clock.now().nanoseconds)
 
-    def _remember(self, lines: Floats, blocked: NDArray[np.bool_], spots: Floats) -> None:
-        drawable = np.isfinite(lines).all(axis=(1, 2))
-        self._lines = np.concatenate((self._lines, lines[drawable]))[-self._limit :]
-        self._blocked = np.concatenate((self._blocked, blocked[drawable]))[-self._limit :]
-        self._spots = np.concatenate((self._spots, spots))[-self._limit :]
-        self._new = True
+    def _remember(self, question: object, answer: Answer) -> None:
+        drawable = np.isfinite(answer.lines).all(axis=(1, 2))
+        lines, blocked = answer.lines[drawable], answer.blocked[drawable]
+        self._answers.pop(question, None)
+        self._answers[question] = answer._replace(lines=lines, blocked=blocked)
+        if len(self._answers) > self._limit:
+            del self._answers[next(iter(self._answers))]
 
     def _beyond_the_world(self, origins: Floats) -> Floats:
         """Return how long a ray from each place has to be to end behind all obstacles."""
