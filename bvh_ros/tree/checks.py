@@ -207,7 +207,7 @@ def rows_or_one(
 def edge_lengths(name: str, value: ArrayLike, count: int, planar: bool = False) -> Floats:
     """Sizes of boxes, (count, 3), or one for all, (1, 3); one number is that of a cube."""
     if isinstance(value, NUMBER):
-        value = np.full(3, one(name, value))
+        value = np.full(3, limit(name, value))
     return rows_or_one(name, value, 3, count, planar)
 
 
