@@ -215,7 +215,7 @@ def some_scene(moving: bool, planar: bool = False) -> NodeScene:
 
 def contents(scene: Any) -> Any:
     named = scene.names()
-    return named, scene.newest, [str(scene.get(name)) for _, name in named]
+    return named, scene.newest, [str(tuple(scene.get(name))) for _, name in named]
 
 
 @pytest.mark.filterwarnings('ignore')

@@ -69,6 +69,17 @@ def test_batches_of_a_node_tell_what_it_did_not_answer() -> None:
     )
 
 
+def test_obstacles_tell_where_they_are() -> None:
+    scene, turn = Scene(), [0.0, 0.0, 0.6, 0.8]
+    scene.update('camera', ['crate', 'box'], Shapes.boxes([[2, 0, 0], [4, 0, 0]], 1, [turn] * 2))
+    scene.update('camera', ['box'], Shapes.boxes([[4, 0, 0]], [1, 2, 1]), stamp=3)
+    assert repr(scene.get('box')) == (
+        "Obstacle('box', BOX, position=[4, 0, 0], size=[1, 2, 1], source='camera', handle=2, "
+        'stamp=3)'
+    )
+    assert 'orientation=[0, 0, 0.6, 0.8], size' in repr(scene.get('crate'))
+
+
 def test_shapes_and_meshes_tell_what_they_are() -> None:
     rows = [[0.0, 0, 0]] * 4
     assert repr(Shapes([0, 1, 0, 2], rows, [0, 0, 0, 1], 1)) == (

@@ -153,6 +153,16 @@ class Obstacle(NamedTuple):
     source: str
     group: str
 
+    def __repr__(self) -> str:
+        turn = (
+            '' if self.orientation[3] == 1.0 else f'orientation={shown_point(self.orientation)}, '
+        )
+        return (
+            f'Obstacle({self.name!r}, {self.kind.name}, position={shown_point(self.position)}, '
+            f'{turn}size={shown_point(self.size)}, source={self.source!r}, '
+            f'handle={self.handle}, stamp={self.stamp})'
+        )
+
 
 # ---- Which rows of an update are refused, and why.
 #

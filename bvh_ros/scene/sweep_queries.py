@@ -158,10 +158,9 @@ class SweepQueries:
             raise ValueError(f'want must be first or any, not {checks.shown_short(want)}')
         given = as_one_shape(shape, self._store.planar)
         names = 'positions', 'goal_positions'
-        ends = checks.both(names, positions, goal_positions, 3, self._store.planar)
-        for name, rows in zip(names, ends, strict=True):
-            checks.finite(name, rows)
-        (starts, goals), count = ends, len(ends[0])
+        ends = names, positions, goal_positions, 3, self._store.planar
+        starts, goals = checks.points_of_both(*ends)
+        count = len(starts)
         turns = given.orientation if orientations is None else turns_of(orientations, count)
         goal_turns = turns
         if goal_orientations is not None:

@@ -238,6 +238,17 @@ def both(
     return every, rows(names[1], second, ndim, len(every))
 
 
+def points_of_both(
+    names: tuple[str, str], first: ArrayLike, second: ArrayLike, ndim: int, planar: bool = False
+) -> tuple[Floats, Floats]:
+    """As `both`, but copies that are known to be finite."""
+    one, other = both(names, first, second, ndim, planar)
+    one, other = one.copy(), other.copy()
+    finite(names[0], one)
+    finite(names[1], other)
+    return one, other
+
+
 def _is_row(value: ArrayLike, ndim: int) -> bool:
     """Whether this is one row of numbers."""
     if isinstance(value, np.ndarray):
