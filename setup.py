@@ -21,7 +21,7 @@ REPORT = ['matplotlib>=3.7', 'tqdm>=4.60']
 VIEW = ['viser>=1.1,<2']
 PEERS = ['embreex>=4.4', 'coal>=3.0', *FCL, 'rapier3d']
 CLUSTER = ['dask[array]>=2024.8', 'distributed>=2024.8']
-DOCS = ['sphinx>=7', 'myst-parser>=3']
+DOCS = ['sphinx>=7', 'myst-parser>=3', 'furo']
 TEST = [
     'pytest>=7',
     'pytest-timeout>=2',

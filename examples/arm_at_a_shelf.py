@@ -1,18 +1,21 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""An arm of 60 balls moves along 500 trajectories at a recorded shelf: which are free, and how far
-is each from the shelf?
+"""An arm of 60 balls moves along 500 trajectories at a shelf: which are free, and how far is each
+from the shelf?
 
-python examples/arm_at_a_shelf.py [--data ../shared/data] [--picture arm.png]
+python examples/arm_at_a_shelf.py [--scenes scenes.csv] [--picture arm.png]
+
+The shelf is made here. SCENES is a table of recorded ones instead, with columns scene, object,
+shape (box or cylinder), cx, cy, cz, qx, qy, qz, qw, sx, sy, sz.
 """
 
 import argparse
 import csv
-import sys
 import time
 from pathlib import Path
 
 import numpy as np
+from needs import end_with, require_picture
 
 from bvh_ros.scene import NO_NODE, Scene, ShapeKind, Shapes
 
@@ -24,19 +27,33 @@ KINDS = {'box': ShapeKind.BOX, 'cylinder': ShapeKind.CYLINDER}
 rng = np.random.default_rng(6)
 
 
-def shelf(file, name):
-    """The obstacles of one scene of the file."""
+def made_shelf():
+    """A shelf of five boards between two sides, with twelve tins: names and shapes."""
+    names, centres, sizes = ['left', 'right'], [[-0.9, -0.55, 1.1], [-0.9, 0.55, 1.1]], []
+    sizes += [[0.4, 0.03, 1.8]] * 2
+    for board in range(5):
+        names.append(f'board {board}')
+        centres.append([-0.9, 0.0, 0.3 + 0.4 * board])
+        sizes.append([0.4, 1.1, 0.03])
+    names += [f'tin {k}' for k in range(12)]
+    centres += [[-0.9, -0.4 + 0.25 * (k % 4), 0.815 + 0.4 * (k // 4)] for k in range(12)]
+    sizes += [[0.1, 0.1, 0.2]] * 12
+    kinds = [ShapeKind.BOX] * 7 + [ShapeKind.CYLINDER] * 12
+    return names, Shapes(kinds, centres, [0.0, 0.0, 0.0, 1.0], sizes)
+
+
+def recorded_shelf(file, name):
+    """Names and shapes of one scene of a table."""
     with file.open(newline='') as table:
         rows = [row for row in csv.DictReader(table) if row['scene'] == name]
+    if not rows:
+        end_with(f'{file} has no rows of the scene {name}')
     numbers = [
         [[float(row[k]) for k in keys.split()] for row in rows]
         for keys in ('cx cy cz', 'qx qy qz qw', 'sx sy sz')
     ]
     kinds = np.array([KINDS[row['shape']] for row in rows], np.uint8)
-    scene = Scene()
-    shapes = Shapes(kinds, *map(np.array, numbers))
-    scene.update('shelf', [row['object'] for row in rows], shapes, stamp=0)
-    return scene, shapes
+    return [row['object'] for row in rows], Shapes(kinds, *map(np.array, numbers))
 
 
 def balls(joints):
@@ -76,15 +93,17 @@ def draw(file, shapes, arms, free):
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__)
-    beside = Path(__file__).resolve().parents[2] / 'shared' / 'data'
-    parser.add_argument('--data', type=Path, default=beside)
+    parser.add_argument('--scenes', type=Path, help='a table of recorded scenes')
+    parser.add_argument('--scene', default='robowflex_vicon_shelf_01', help='one of these')
     parser.add_argument('--picture', default='')
     given = parser.parse_args()
-    file = given.data / 'manipulation_scenes' / 'scenes.csv'
-    if not file.exists():
-        print(f'{file} is missing: name its folder with --data', file=sys.stderr)
-        sys.exit(2)
-    scene, shapes = shelf(file, 'robowflex_vicon_shelf_01')
+    require_picture(given.picture)
+    if given.scenes and not given.scenes.is_file():
+        end_with(f'there is no {given.scenes}: without --scenes a shelf is made')
+    print(f'An arm of {BALLS} balls moves along {TRAJECTORIES} trajectories at a shelf.')
+    names, shapes = recorded_shelf(given.scenes, given.scene) if given.scenes else made_shelf()
+    scene = Scene()
+    scene.update('shelf', names, shapes)
     middle = shapes.position.mean(axis=0) - BASE
     facing = np.arctan2(middle[1], middle[0])
     ends = rng.normal(size=(2, TRAJECTORIES, 7)) * [0.9, 0.5, 0.6, 0.6, 0.6, 0.6, 0.6]
@@ -102,13 +121,17 @@ def main():
     gaps = scene.nearest_many(arms.reshape(-1, 3))[1].reshape(TRAJECTORIES, -1).min(axis=1)
     ended = time.perf_counter()
     print(
-        f'{free.sum()} of {TRAJECTORIES} trajectories are free: {len(starts)} swept balls in '
-        f'{1e3 * (swept - began):.0f} ms, {(swept - began) / len(starts) * 1e6:.2f} us each; '
-        f'{arms.size // 3} distances in {1e3 * (ended - swept):.0f} ms; '
-        f'the widest free trajectory keeps {gaps[free].max(initial=0.0) - RADIUS:.2f} m away'
+        f'{len(starts):,} swept balls took {1e3 * (swept - began):.0f} ms, '
+        f'{(swept - began) / len(starts) * 1e6:.2f} us each; '
+        f'{arms.size // 3:,} distances took {1e3 * (ended - swept):.0f} ms.'
+    )
+    print(
+        f'{free.sum()} of {TRAJECTORIES} trajectories are free. '
+        f'The widest keeps {gaps[free].max(initial=0.0) - RADIUS:.2f} m away from the shelf.'
     )
     if given.picture:
         draw(given.picture, shapes, arms, free)
+        print(f'{given.picture} shows the last pose of some of both kinds.')
 
 
 if __name__ == '__main__':

@@ -7,12 +7,20 @@ python examples/ask_a_node.py
 """
 
 import sys
+import time
 
-import rclpy
-from rclpy.qos import QoSProfile
-from visualization_msgs.msg import Marker, MarkerArray
+from needs import ROS, end_with
 
-from bvh_ros.client import BvhClient
+try:
+    import rclpy
+    from rclpy.qos import QoSProfile
+    from visualization_msgs.msg import Marker, MarkerArray
+
+    from bvh_ros.client import BvhClient, BvhTimeoutError
+except ImportError:
+    end_with(ROS)
+
+PATIENCE = 10.0  # s
 
 
 def crate(number: int, x: float) -> Marker:
@@ -23,21 +31,34 @@ def crate(number: int, x: float) -> Marker:
     return marker
 
 
+def wait_for(client: BvhClient, name: str) -> None:
+    """Wait while the node compiles, and say so; end if there is none."""
+    while True:
+        try:
+            return client.wait_until_ready(PATIENCE)
+        except BvhTimeoutError as error:
+            if 'compiling' not in str(error):
+                end_with(f'there is no node {name}: start one with `bvh_node`, or name yours')
+            print(error, flush=True)
+
+
 def main(name: str) -> None:
     """Publish three crates, wait until the node knows them, ask."""
+    print(f'Three crates are shown to the node {name}, and it is asked about them.', flush=True)
     rclpy.init()
     node = rclpy.create_node('ask_a_node')
     client = BvhClient(node, name)
-    client.wait_until_ready()
+    wait_for(client, name)
     publisher = node.create_publisher(MarkerArray, f'{name}/obstacles', QoSProfile(depth=1000))
-    while not publisher.get_subscription_count():
-        rclpy.spin_once(node, timeout_sec=0.1)
-    publisher.publish(MarkerArray(markers=[crate(k, 5.0 * k) for k in (1, 2, 3)]))
+    deadline = time.monotonic() + PATIENCE
     while len(client.raycast_all((0.0, 0.0, 0.5), (20.0, 0.0, 0.5))) < 3:
-        pass  # the message is on its way
+        if time.monotonic() > deadline:
+            end_with(f'{name} does not hear markers on {name}/obstacles: see its sources')
+        publisher.publish(MarkerArray(markers=[crate(k, 5.0 * k) for k in (1, 2, 3)]))
+        time.sleep(0.1)  # the message is on its way
 
     hit = client.raycast((0.0, 0.0, 0.5), (20.0, 0.0, 0.5))
-    print('first on the way:', hit.name, 'at', tuple(round(x, 3) for x in hit.point))
+    print('first on the segment:', hit.name, 'at', tuple(round(x, 3) for x in hit.point))
     hit = client.raycast((0.0, 0.8, 0.5), (20.0, 0.8, 0.5), radius=0.4)
     print('a robot of 0.4 m, 0.8 m to the side, meets', hit.name)
     free = client.raycast((0.0, 2.0, 0.5), (20.0, 2.0, 0.5), radius=0.4) is None

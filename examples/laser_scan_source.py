@@ -9,9 +9,15 @@ python examples/laser_scan_source.py
 from array import array
 
 import numpy as np
-import rclpy
-from rclpy.node import Node
-from sensor_msgs.msg import LaserScan, PointCloud2, PointField
+from needs import ROS, end_with
+
+try:
+    import rclpy
+    from rclpy.executors import ExternalShutdownException
+    from rclpy.node import Node
+    from sensor_msgs.msg import LaserScan, PointCloud2, PointField
+except ImportError:
+    end_with(ROS)
 
 BOX = np.dtype([(name, '<f4') for name in ('x', 'y', 'z', 'sx', 'sy', 'sz')])
 HEIGHT = 0.2  # m, of a box: a scan sees one plane only
@@ -22,6 +28,7 @@ class LaserScanSource(Node):
 
     def __init__(self) -> None:
         super().__init__('laser_scan_source')
+        self.scans = self.boxes = 0
         self._publisher = self.create_publisher(PointCloud2, '/laser_boxes', 10)
         self.create_subscription(LaserScan, '/scan', self._receive, 10)
 
@@ -41,17 +48,22 @@ class LaserScanSource(Node):
         ]
         cloud.data = array('B', boxes.tobytes())
         self._publisher.publish(cloud)
+        self.scans, self.boxes = self.scans + 1, self.boxes + len(boxes)
+        if self.scans == 1:
+            print(f'The first scan has come: {len(boxes)} boxes.', flush=True)
 
 
 def main() -> None:
     """Serve until Ctrl-C."""
+    print('Scans on /scan become boxes on /laser_boxes, until Ctrl-C.', flush=True)
     rclpy.init()
     node = LaserScanSource()
     try:
         rclpy.spin(node)
-    except KeyboardInterrupt:
+    except (KeyboardInterrupt, ExternalShutdownException):
         pass
     finally:
+        print(f'{node.scans} scans became {node.boxes} boxes.', flush=True)
         node.destroy_node()
         rclpy.try_shutdown()
 

@@ -17,9 +17,14 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
-from distributed import Client, LocalCluster
+from needs import end_with
 
 from bvh_ros.forest import Forest
+
+try:
+    from distributed import Client, LocalCluster
+except ImportError:
+    end_with("Dask is missing: pip install 'bvh_ros[cluster]'")
 
 CHUNK = 1_000_000  # boxes that are in memory at once
 
@@ -62,6 +67,7 @@ def main() -> None:
     options = parser.parse_args()
     boxes, rays = int(options.boxes), int(options.rays)
     side = (8.0 * boxes) ** (1 / 3)
+    print(f'{rays:,} rays through {boxes:,} boxes that lie on disk, asked by worker processes.')
     folder = options.folder or Path(tempfile.mkdtemp()) / 'world'
     if not folder.exists():
         began = time.perf_counter()
@@ -84,8 +90,11 @@ def main() -> None:
         taken = time.perf_counter() - began
         print(f'{turn}: {hits:,} of {rays:,} rays hit, {taken / rays * 1e6:.2f} us a ray')
     if client:
-        print('workers at most', sorted(client.run(peak).values()), 'MB, mapped files among it')
+        most = max(client.run(peak).values())
+        print(f'No worker took more than {most} MB of memory, mapped files among it.')
         client.shutdown()
+    else:
+        print(f'This process took {peak()} MB of memory at most, mapped files among it.')
 
 
 if __name__ == '__main__':

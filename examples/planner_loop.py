@@ -14,6 +14,7 @@ COUNT, RADIUS, SPACE = 40, 0.4, 0.1  # m
 STEP, TICK = 0.05, 0.05  # m, s: the robot drives at 1 m/s
 AHEAD = 2.0  # m that must be free
 
+print(f'A robot drives 28 m among {COUNT} moving carts, and looks {AHEAD:g} m ahead at 20 Hz.')
 place = np.column_stack([rng.uniform(2.0, 18.0, (COUNT, 2)), np.full(COUNT, 0.5)])
 speed = np.column_stack([rng.normal(0.0, 0.3, (COUNT, 2)), np.zeros(COUNT)])
 scene, names = Scene(planar=True), Numbered('cart/', np.arange(COUNT))
@@ -40,7 +41,10 @@ for tick in range(2_000):
             break
     else:
         waited += 1  # surrounded: stand still
+left = float(np.linalg.norm(goal - robot))
 print(
-    f'at the goal after {tick * TICK:.1f} s; stood still for {waited * TICK:.1f} s, '
-    f'evaded a cart for {evaded * TICK:.1f} s'
+    f'The robot is at the goal after {tick * TICK:.1f} s.'
+    if left < STEP
+    else f'The robot is {left:.1f} m from the goal after {tick * TICK:.1f} s: carts block it.'
 )
+print(f'It stood still for {waited * TICK:.1f} s, and evaded a cart for {evaded * TICK:.1f} s.')

@@ -8,19 +8,27 @@ pip install 'bvh_ros[bags]' && python examples/play_a_recording.py my_bag
 import sys
 from pathlib import Path
 
-from rosbags.highlevel import AnyReader
-from rosbags.typesys import Stores, get_typestore
+from needs import end_with
 
 from bvh_ros.scene import Scene, Shapes
+
+try:
+    from rosbags.highlevel import AnyReader
+    from rosbags.typesys import Stores, get_typestore
+except ImportError:
+    end_with("rosbags is missing: pip install 'bvh_ros[bags]'")
 
 MARKERS, CUBE, ADD, DELETE = 'visualization_msgs/msg/MarkerArray', 1, 0, 2
 
 
 def main(bag: Path) -> None:
     """Read the cubes, and print the obstacles within 5 m of the origin."""
-    scene = Scene()
+    print(f'The cubes in the MarkerArrays of {bag.name}, and which are within 5 m of the origin.')
+    scene, known = Scene(), set()
     with AnyReader([bag], default_typestore=get_typestore(Stores.ROS2_JAZZY)) as reader:
         connections = [c for c in reader.connections if c.msgtype == MARKERS]
+        if not connections:
+            end_with(f'{bag} has no topic of {MARKERS}')
         for connection, stamp, raw in reader.messages(connections):
             markers = reader.deserialize(raw, connection.msgtype).markers
             cubes = [m for m in markers if m.type == CUBE and m.action == ADD]
@@ -37,8 +45,14 @@ def main(bag: Path) -> None:
                     print('refused:', refusal)
             scene.remove('bag', [f'{m.ns}/{m.id}' for m in markers if m.action == DELETE])
             near = [hit.name for hit in scene.overlap([0, 0, 0], [0, 0, 0], tolerance=5.0)]
+            known.update(near)
             print(f't = {stamp / 1e9:.2f} s: {len(scene)} obstacles, within 5 m: {near}')
+    print(
+        f'{len(known)} obstacles came within 5 m of the origin; {len(scene)} are there at the end.'
+    )
 
 
 if __name__ == '__main__':
+    if len(sys.argv) != 2 or not Path(sys.argv[1]).exists():
+        end_with('name a bag that is there: python examples/play_a_recording.py my_bag')
     main(Path(sys.argv[1]))

@@ -5,7 +5,7 @@
 Each tick makes 2,000 rollouts of 30 steps. The robot is a turned rectangle. The planner averages
 the rollouts by cost; a rollout that touches anything is expensive.
 
-python examples/sampling_planner.py [--ticks 400] [--picture planner.png] [--node]
+python examples/sampling_planner.py [--ticks 900] [--picture planner.png] [--node]
 
 With --node the planner asks a bvh_node over ROS 2, and publishes the movers as boxes.
 """
@@ -15,7 +15,9 @@ import time
 from contextlib import contextmanager
 
 import numpy as np
+from needs import ROS, end_with, require_picture
 
+from bvh_ros import quaternions
 from bvh_ros.scene import Numbered, Scene, ShapeKind, Shapes
 
 ROLLOUTS, STEPS, TICK, STEP = 2_000, 30, 0.05, 0.1  # s
@@ -23,18 +25,12 @@ PEOPLE, FORKLIFTS, SIDE = 900, 100, 120.0  # m
 ROBOT, SPACE = [0.9, 0.6, 1.0], 0.1  # m: the rectangle, and how far others have to be
 FASTEST, NOISE = 1.5, np.array([0.5, 1.0])  # m/s; of speed (m/s) and turning (rad/s)
 HARD, TEMPERATURE = 1e3, 0.5
+FAR, CLOSE = 30.0, 1.0  # m: from the start to the goal, and what counts as there
 
 rng = np.random.default_rng(4)
 COUNT = PEOPLE + FORKLIFTS
 KIND = np.repeat([ShapeKind.CYLINDER, ShapeKind.BOX], [PEOPLE, FORKLIFTS]).astype(np.uint8)
 SIZES = np.repeat([[0.5, 0.5, 1.8], [2.4, 1.2, 2.0]], [PEOPLE, FORKLIFTS], axis=0)
-
-
-def quaternions(yaws):
-    """Quaternions (x, y, z, w) of rotations about z."""
-    turns = np.zeros((*np.shape(yaws), 4))
-    turns[..., 2], turns[..., 3] = np.sin(yaws / 2), np.cos(yaws / 2)
-    return turns
 
 
 def roll_out(pose, controls):
@@ -58,7 +54,10 @@ def in_this_process():
 @contextmanager
 def through_a_node():
     """The same by messages: a cloud of boxes, and a cloud of questions for each answer."""
-    from sensor_msgs.msg import PointCloud2
+    try:
+        from sensor_msgs.msg import PointCloud2
+    except ImportError:
+        end_with(ROS)
 
     from bvh_ros.client import BvhError
     from bvh_ros.ros import large_messages, running
@@ -103,7 +102,7 @@ def plan(ask, pose, goal, nominal):
     poses = roll_out(pose, controls)
     centres = np.zeros((ROLLOUTS * STEPS, 3))
     centres[:, :2] = poses[..., :2].reshape(-1, 2)
-    turns = quaternions(poses[..., 2].ravel())
+    turns = quaternions(yaw=poses[..., 2].ravel())
     touches = ask(centres, ROBOT, turns, SPACE).reshape(ROLLOUTS, STEPS)
     cost = np.linalg.norm(poses[..., :2] - goal, axis=2).mean(axis=1)
     cost += np.where(touches, HARD * np.linspace(1.0, 0.1, STEPS), 0.0).sum(axis=1)
@@ -141,10 +140,12 @@ def draw(file, world, track, poses, free, goal):
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument('--ticks', type=int, default=400)
+    parser.add_argument('--ticks', type=int, default=900, help='at most')
     parser.add_argument('--picture', default='')
     parser.add_argument('--node', action='store_true')
     given = parser.parse_args()
+    require_picture(given.picture)
+    print(f'A robot drives {FAR:g} m among {COUNT:,} moving people and forklifts, by sampling.')
     with (through_a_node if given.node else in_this_process)() as (tell, ask):
         drive(given, tell, ask)
 
@@ -153,31 +154,45 @@ def drive(given, tell, ask):
     """Plan and drive one step, tick after tick."""
     place = np.column_stack((rng.uniform(5.0, SIDE, (COUNT, 2)), np.full(COUNT, 0.9)))
     yaws, pace = rng.uniform(-np.pi, np.pi, COUNT), rng.uniform(0.2, 1.0, COUNT)
-    pose, goal = np.array([1.0, 1.0, np.pi / 4]), np.array([SIDE - 3.0, SIDE - 3.0])
+    pose = np.array([1.0, 1.0, np.pi / 4])
+    goal = pose[:2] + FAR / 2**0.5
     nominal, track, spent, touching = np.tile([1.0, 0.0], (STEPS, 1)), [pose[:2]], [], 0
     for _ in range(given.ticks):
         yaws += rng.normal(0.0, 0.3 * TICK, COUNT)
         place[:, 0] = np.mod(place[:, 0] + pace * TICK * np.cos(yaws), SIDE)
         place[:, 1] = np.mod(place[:, 1] + pace * TICK * np.sin(yaws), SIDE)
         began = time.perf_counter()
-        tell(place, quaternions(yaws))
+        tell(place, quaternions(yaw=yaws))
         nominal, poses, free = plan(ask, pose, goal, nominal)
         spent.append(time.perf_counter() - began)
         pose = roll_out(pose, nominal[None] * [TICK / STEP, TICK / STEP])[0, 0]
         track.append(pose[:2])
         at = [[*pose[:2], 0.0]]
-        touching += int(ask(np.array(at), ROBOT, quaternions(pose[None, 2]))[0])
-        if np.linalg.norm(pose[:2] - goal) < 1.0:
+        touching += int(ask(np.array(at), ROBOT, quaternions(yaw=pose[None, 2]))[0])
+        if np.linalg.norm(pose[:2] - goal) < CLOSE:
             break
-    milliseconds = 1e3 * float(np.median(spent[1:] or spent))
-    print(
-        f'{len(spent)} ticks, {np.linalg.norm(pose[:2] - goal):.0f} m from the goal, '
-        f'in {touching} of them in touch; '
-        f'a tick takes {milliseconds:.0f} ms for {ROLLOUTS * STEPS} poses '
-        f'among {COUNT}: {1e3 / milliseconds:.0f} Hz'
+    left, milliseconds = (
+        np.linalg.norm(pose[:2] - goal),
+        1e3 * float(np.median(spent[1:] or spent)),
     )
+    print(
+        f'A tick takes {milliseconds:.0f} ms for {ROLLOUTS * STEPS:,} poses: '
+        f'{1e3 / milliseconds:.0f} Hz.'
+    )
+    seconds, crowded = len(spent) * TICK, not free.any()
+    if left < CLOSE:
+        print(
+            f'The robot is at the goal after {seconds:.1f} s; in {touching} ticks it was touched.'
+        )
+    else:
+        why = 'every rollout touches something' if crowded else '--ticks has ended the drive'
+        print(
+            f'The robot is {left:.0f} m from the goal after {seconds:.1f} s: {why}; '
+            f'in {touching} ticks it was touched.'
+        )
     if given.picture:
         draw(given.picture, (place, yaws), track, poses, free, goal)
+        print(f'{given.picture} shows its path and the last rollouts.')
 
 
 if __name__ == '__main__':

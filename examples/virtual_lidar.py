@@ -13,6 +13,9 @@ from bvh_ros.scene import NO_NODE, Numbered
 rng = np.random.default_rng(0)
 PEOPLE, RANGE = 200, 50.0  # m
 
+print(
+    f'A lidar of 64 rings of 512 beams among {PEOPLE} walking people, at 10 Hz for half a second.'
+)
 azimuth = np.linspace(-np.pi, np.pi, 512, endpoint=False)
 elevation = np.radians(np.linspace(-25.0, 15.0, 64))[:, None]
 beams = np.stack(
@@ -34,3 +37,8 @@ for frame in range(5):  # at 10 Hz
         f'from {len(np.unique(handles[returned]))} people, '
         f'the nearest {ranges[returned].min():.2f} m away'
     )
+first = int(ranges.argmin())
+print(
+    f'At last {scene.name_of(int(handles[first]))} is nearest: {ranges[first]:.2f} m away, '
+    f'at {np.degrees(azimuth[first % 512]):.0f} degrees.'
+)

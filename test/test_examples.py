@@ -1,6 +1,8 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Every script in examples/ runs, and prints what it promises."""
+"""Every script in examples/ runs as a user runs it, says first what it shows, and ends with a
+result; where something that it needs is missing, it ends at once with exit code 2.
+"""
 
 import os
 import signal
@@ -12,37 +14,97 @@ from pathlib import Path
 import pytest
 
 EXAMPLES = Path(__file__).resolve().parent.parent / 'examples'
+SCRIPTS = sorted({file.name for file in EXAMPLES.glob('*.py')} - {'needs.py'})
+# Runs a script where a module is missing.
+WITHOUT = """
+import runpy, sys
+missing, script, *sys.argv[1:] = sys.argv[1:]
+sys.modules[missing] = None
+sys.path.insert(0, script.rpartition('/')[0])
+runpy.run_path(script, run_name='__main__')
+"""
 
 
-def run(name, *arguments):
-    done = subprocess.run(
-        [sys.executable, str(EXAMPLES / name), *arguments],
+def python(*arguments):
+    return subprocess.run(
+        [sys.executable, *arguments],
         capture_output=True,
         text=True,
         timeout=600,  # what an example compiles first may take minutes
         check=False,
     )
+
+
+def run(name, *arguments):
+    done = python(str(EXAMPLES / name), *arguments)
     assert done.returncode == 0, done.stderr
     return done.stdout
 
 
+def test_the_guide_lists_every_script():
+    guide = (EXAMPLES.parent / 'docs' / 'guide.md').read_text('utf-8')
+    assert [name for name in SCRIPTS if f'| `examples/{name}` |' not in guide] == []
+
+
 @pytest.mark.parametrize(
-    ('name', 'said'),
+    ('name', 'first', 'last'),
     [
-        ('tree_alone.py', '10000 boxes moved'),
-        pytest.param('moving_boxes.py', 'of 1000 meet a moving box', marks=pytest.mark.slow),
-        ('virtual_lidar.py', 'of 32768 beams return'),
-        ('planner_loop.py', 'at the goal after'),
+        ('tree_alone.py', 'A tree of 10,000 boxes', 'pairs of boxes touch each other.'),
+        pytest.param(
+            *('moving_boxes.py', '1,000 robots drive', 'answers would be wrong'),
+            marks=pytest.mark.slow,
+        ),
+        ('virtual_lidar.py', 'A lidar of 64 rings', ' is nearest: '),
+        ('planner_loop.py', 'A robot drives 28 m', 'It stood still for '),
     ],
 )
-def test_without_ros(name, said):
-    assert said in run(name)
+def test_without_ros(name, first, last):
+    said = run(name).splitlines()
+    assert said[0].startswith(first)
+    assert last in said[-1]
+
+
+ROS = 'ROS 2 is missing: '
+LACKING = [
+    ('rclpy', ROS, 'ask_a_node.py'),
+    ('rclpy', ROS, 'laser_scan_source.py'),
+    ('rclpy', ROS, 'questions_a_second.py'),
+    ('sensor_msgs', ROS, 'sampling_planner.py --node'),
+    ('rosbags', 'rosbags is missing: ', 'play_a_recording.py bag'),
+    ('distributed', 'Dask is missing: ', 'many_machines.py'),
+    ('matplotlib', 'a picture needs matplotlib: ', 'arm_at_a_shelf.py --picture a.png'),
+    ('', 'name a bag that is there: ', 'play_a_recording.py /none/a'),
+    ('', 'there is no /none/a: ', 'arm_at_a_shelf.py --scenes /none/a'),
+    ('', '/none/a cannot be read ', 'predicted_traffic.py /none/a'),
+    ('', '/none/a.png cannot be written: ', 'predicted_traffic.py --plot /none/a.png'),
+    ('', '/none/a.png cannot be written: ', 'sampling_planner.py --picture /none/a.png'),
+    ('', '/none/a.png cannot be written: ', 'load_through_a_door.py --picture /none/a.png'),
+]
+
+
+@pytest.mark.parametrize(('missing', 'says', 'command'), LACKING, ids=lambda part: str(part)[:40])
+def test_what_is_missing_is_said_at_once(missing, says, command):
+    name, *arguments = command.split()
+    if name == 'play_a_recording.py' and not missing:
+        pytest.importorskip('rosbags', reason='rosbags is not installed')
+    done = python('-c', WITHOUT, missing or 'no_such_module', str(EXAMPLES / name), *arguments)
+    assert done.returncode == 2, done.stderr
+    assert done.stderr.startswith(says)
+    assert len(done.stderr.splitlines()) == 1
+
+
+@pytest.mark.slow
+def test_a_node_that_is_not_there():
+    pytest.importorskip('rclpy', reason='rclpy is not installed', exc_type=ImportError)
+    done = python(str(EXAMPLES / 'ask_a_node.py'), '/nobody/bvh')
+    assert done.returncode == 2
+    assert done.stderr.startswith('there is no node /nobody/bvh: start one')
 
 
 @pytest.mark.slow
 def test_a_load_through_a_door(tmp_path):
     picture = tmp_path / 'door.png'
-    poses, ways = run('load_through_a_door.py', '--picture', str(picture)).splitlines()
+    _, poses, ways, _ = run('load_through_a_door.py', '--picture', str(picture)).splitlines()
     assert not poses.endswith('; 0 of them hit a wall')
     assert ways.endswith('; 0 of them hit a wall')
     assert picture.stat().st_size > 10_000
@@ -51,8 +113,9 @@ def test_a_load_through_a_door(tmp_path):
 @pytest.mark.slow
 def test_a_sampling_planner(tmp_path):
     picture = tmp_path / 'planner.png'
-    said = run('sampling_planner.py', '--ticks', '3', '--picture', str(picture))
-    assert 'in 0 of them in touch' in said
+    said = run('sampling_planner.py', '--ticks', '3', '--picture', str(picture)).splitlines()
+    assert said[0].startswith('A robot drives 30 m among 1,000 moving people')
+    assert said[2].endswith('--ticks has ended the drive; in 0 ticks it was touched.')
     assert picture.stat().st_size > 10_000
 
 
@@ -60,30 +123,36 @@ def test_a_sampling_planner(tmp_path):
 @pytest.mark.timeout(1300)  # seconds: the first node compiles
 def test_through_a_node():
     pytest.importorskip('rclpy')
-    assert 'in 0 of them in touch' in run('sampling_planner.py', '--ticks', '2', '--node')
+    said = run('sampling_planner.py', '--ticks', '2', '--node')
+    assert said.endswith('in 0 ticks it was touched.\n')
     said = run('questions_a_second.py', '--rows', '500', '--seconds', '0.2').splitlines()
-    assert len(said) == 4
-    assert all(line.endswith('rows a second, 0 not answered') for line in said)
+    assert len(said) == 6
+    assert all(line.endswith('rows a second, 0 not answered') for line in said[1:5])
+    assert said[5].startswith('The node answers up to ')
 
 
 def test_an_arm_at_a_shelf(tmp_path):
-    data = EXAMPLES.parents[1] / 'shared' / 'data'
-    if not data.exists():
-        pytest.skip('the recorded scenes are not there')
     picture = tmp_path / 'arm.png'
-    said = run('arm_at_a_shelf.py', '--data', str(data), '--picture', str(picture))
-    assert 0 < int(said.split()[0]) < 500
+    said = run('arm_at_a_shelf.py', '--picture', str(picture)).splitlines()
+    assert 0 < int(said[2].split()[0]) < 500
     assert picture.stat().st_size > 10_000
+    scenes = EXAMPLES.parents[1] / 'shared/data/manipulation_scenes/scenes.csv'
+    if scenes.exists():
+        said = run('arm_at_a_shelf.py', '--scenes', str(scenes)).splitlines()
+        assert 0 < int(said[2].split()[0]) < 500
 
 
 @pytest.mark.slow
-def test_predicted_traffic(tmp_path):
-    tracks = EXAMPLES.parents[1] / 'shared/data/commonroad_ngsim/USA_US101-4_1_T-1.csv'
-    if not tracks.exists():
+@pytest.mark.parametrize('recording', ['', 'commonroad_ngsim/USA_US101-4_1_T-1.csv'])
+def test_predicted_traffic(tmp_path, recording):
+    tracks = EXAMPLES.parents[1] / 'shared/data' / recording
+    if recording and not tracks.exists():
         pytest.skip('the recorded traffic is not there')
     picture = tmp_path / 'traffic.png'
-    said = run('predicted_traffic.py', str(tracks), '--plot', str(picture)).splitlines()
-    for line in said[-5:]:  # at every rate, prediction is nearer and misses fewer robots
+    given = [str(tracks)] if recording else []
+    said = run('predicted_traffic.py', *given, '--plot', str(picture)).splitlines()
+    assert 'are hit without a warning' in said[-2]
+    for line in said[-7:-2]:  # at every rate, prediction is nearer and misses fewer robots
         cells = [float(cell) for cell in line.replace('%', '').split('|')[2:8]]
         assert max(cells[1:3]) < 0.2 * cells[0]
         assert max(cells[4:]) < 0.5 * cells[3]
@@ -94,7 +163,9 @@ def test_predicted_traffic(tmp_path):
 def test_many_machines():
     pytest.importorskip('distributed', reason='extra [cluster] is not installed')
     few = '--boxes', '2e4', '--rays', '1e4', '--part', '5e3'
-    assert 'again: ' in run('many_machines.py', *few)
+    said = run('many_machines.py', *few)
+    assert 'again: ' in said
+    assert said.splitlines()[-1].startswith('No worker took more than ')
 
 
 def test_a_recording(tmp_path):
@@ -140,9 +211,11 @@ def test_a_recording(tmp_path):
         for k, markers in enumerate(messages):
             bag.write(topic, (k + 1) * 10**9, store.serialize_cdr(types[kind](markers), kind))
     assert run('play_a_recording.py', str(tmp_path / 'bag')).splitlines() == [
+        'The cubes in the MarkerArrays of bag, and which are within 5 m of the origin.',
         "t = 1.00 s: 2 obstacles, within 5 m: ['crate/1']",
         "t = 2.00 s: 2 obstacles, within 5 m: ['crate/1', 'crate/2']",
         "t = 3.00 s: 1 obstacles, within 5 m: ['crate/2']",
+        '2 obstacles came within 5 m of the origin; 1 are there at the end.',
     ]
 
 
@@ -179,7 +252,8 @@ def node():
 
 def test_ask_a_node(node):
     assert run('ask_a_node.py', '/examples/bvh').splitlines() == [
-        'first on the way: crate/1 at (4.5, 0.0, 0.5)',
+        'Three crates are shown to the node /examples/bvh, and it is asked about them.',
+        'first on the segment: crate/1 at (4.5, 0.0, 0.5)',
         'a robot of 0.4 m, 0.8 m to the side, meets crate/1',
         '2 m to the side the way is free',
         "within 2 m of (9, 0): ['crate/2']",
@@ -191,7 +265,9 @@ def test_a_custom_source(node):
 
     own, executor, client = node
     scans = own.create_publisher(LaserScan, '/scan', 10)
-    source = subprocess.Popen([sys.executable, str(EXAMPLES / 'laser_scan_source.py')])
+    source = subprocess.Popen(
+        [sys.executable, str(EXAMPLES / 'laser_scan_source.py')], stdout=subprocess.PIPE, text=True
+    )
     try:
         scan = LaserScan(angle_min=-0.1, angle_increment=0.1, range_min=0.1, range_max=30.0)
         scan.header.frame_id, scan.ranges = 'map', [float('inf'), 6.0, 50.0]
@@ -207,6 +283,10 @@ def test_a_custom_source(node):
         assert abs(hit.point[0] - 5.7) < 1e-5
         source.send_signal(signal.SIGINT)
         assert source.wait(20) == 0
+        said = source.stdout.read().splitlines()
+        assert said[0] == 'Scans on /scan become boxes on /laser_boxes, until Ctrl-C.'
+        assert said[-1].endswith(' boxes.')
+        source.stdout.close()
     finally:
         if source.poll() is None:
             os.kill(source.pid, signal.SIGKILL)

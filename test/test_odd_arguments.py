@@ -205,8 +205,8 @@ def test_a_tree(
     assert not wrong, '\n'.join(wrong)
 
 
-def some_scene(moving: bool) -> NodeScene:
-    scene = NodeScene()
+def some_scene(moving: bool, planar: bool = False) -> NodeScene:
+    scene = NodeScene(planar=planar)
     shapes = Shapes.boxes([[0, 0, 0], [3, 0, 0]], [1, 1, 1], [[0, 0, 0.6, 0.8]] * 2)
     speeds = [[1.0, 0, 0], [0, 0, 0]] if moving else None
     scene.update('s', ['a', 'b'], shapes, stamp=0, expires=100, velocities=speeds)
@@ -215,7 +215,7 @@ def some_scene(moving: bool) -> NodeScene:
 
 def contents(scene: Any) -> Any:
     named = scene.names()
-    return named, scene.newest, [str(scene.get(name)) for _, name in named]
+    return named, scene.newest, [str(tuple(scene.get(name))) for _, name in named]
 
 
 @pytest.mark.filterwarnings('ignore')
@@ -225,6 +225,13 @@ def test_a_scene(method: str, with_velocities: bool) -> None:
         wrong = complaints(method, SCENE[method], lambda: Scene)
     else:
         wrong = complaints(method, SCENE[method], lambda: some_scene(with_velocities), contents)
+    assert not wrong, '\n'.join(wrong)
+
+
+@pytest.mark.filterwarnings('ignore')
+@pytest.mark.parametrize('method', sorted(set(SCENE) - {'__init__'}))
+def test_a_planar_scene(method: str) -> None:
+    wrong = complaints(method, SCENE[method], lambda: some_scene(True, planar=True), contents)
     assert not wrong, '\n'.join(wrong)
 
 

@@ -15,7 +15,14 @@ ROOT = Path(__file__).resolve().parent.parent
 
 
 @pytest.mark.parametrize(
-    ('page', 'least'), [('README.md', 5), ('docs/guide.md', 20), ('docs/machines.md', 10)]
+    ('page', 'least'),
+    [
+        ('README.md', 5),
+        ('docs/guide.md', 20),
+        ('docs/machines.md', 10),
+        ('docs/quickstart.md', 4),
+        ('docs/tutorials.md', 40),
+    ],
 )
 def test_the_examples_of(page, least):
     result = doctest.testfile(str(ROOT / page), module_relative=False)

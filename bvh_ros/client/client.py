@@ -273,9 +273,10 @@ class BvhClient:
 
         Parameters
         ----------
-        origins, directions : array_like, shape (n, 3)
-            The rays ``origin + t * direction``, ``0 <= t <= t_max``. A zero direction asks for the
-            point. Where both arrays are float32, rays and hits travel so, in half the bytes.
+        origins, directions : array_like, shape (n, 3), or (n, 2) with z 0
+            The rays ``origin + t * direction``, ``0 <= t <= t_max``. One of them may be one row:
+            the same for all rays. A zero direction asks for the point. Where both arrays are
+            float32, rays and hits travel so, in half the bytes.
         t_max : float or (n,) array_like
             In units of the directions: metres if these are unit vectors.
         mask : int or (n,) array_like
@@ -324,7 +325,7 @@ class BvhClient:
 
         Parameters
         ----------
-        points : array_like, shape (n, 3)
+        points : array_like, shape (n, 3), or (n, 2) with z 0
             m.
         max_distance, mask : one for all points, or (n,) array_like
             Obstacles that are farther away (m), or have no bit in common, are left out.
@@ -358,10 +359,10 @@ class BvhClient:
 
         Parameters
         ----------
-        centers : array_like, shape (n, 3)
+        centers : array_like, shape (n, 3), or (n, 2) with z 0
             m.
-        sizes : array_like, shape (n, 3), or (3,) for all
-            Edge lengths, m.
+        sizes : array_like, shape (n, 3), or one row for all, or a number
+            Edge lengths, m; a third one that is left out is 0. One number is that of cubes.
         orientations : array_like, shape (n, 4), or (4,) for all, optional
             Quaternions x, y, z, w.
         tolerance, mask : one for all boxes, or (n,) array_like
@@ -394,7 +395,7 @@ class BvhClient:
 
         Parameters
         ----------
-        positions : array_like, shape (n, 3)
+        positions : array_like, shape (n, 3), or (n, 2) with z 0
             m.
         orientations : array_like, shape (n, 4), or (4,) for all, optional
             Quaternions x, y, z, w.

@@ -4,7 +4,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -71,20 +71,7 @@ def request(
 
 def place(name: str, given: Sequence[float]) -> list[float]:
     """Return 3 coordinates; z is 0 if left out."""
-    found = _floats(name, given, {(2,), (3,)}, '2 or 3 coordinates, not the shape')
-    return [*found.tolist(), 0.0][:3]
-
-
-def _floats(
-    name: str, given: ArrayLike, shapes: Collection[tuple[int, ...]], wanted: str
-) -> NDArray[np.float64]:
-    """Return own floats of one of these shapes. Others are refused before they are copied: a view
-    can claim far more rows than there is memory for.
-    """
-    found = given if isinstance(given, np.ndarray) and given.shape not in shapes else None
-    found = checks.floats(name, given) if found is None else found
-    if found.shape not in shapes:
-        raise ValueError(f'{name} must have {wanted} {found.shape}')
+    found: list[float] = checks.vector(name, given, 3, planar=True).tolist()
     return found
 
 
@@ -197,13 +184,7 @@ def rays(
     until: ArrayLike | None,
 ) -> Batch:
     """Return n rays, or balls along them; ValueError where an argument does not fit."""
-    starts = checks.floats('origins', origins)
-    along = checks.unless_refused('directions', directions, starts.shape)
-    if starts.ndim != 2 or starts.shape[1] != 3 or along.shape != starts.shape:
-        raise ValueError(
-            f'origins and directions must both have the shape (n, 3), not {starts.shape} '
-            f'and {along.shape}'
-        )
+    starts, along = checks.both(checks.RAY_ARGUMENTS, origins, directions, 3, planar=True)
     count = len(starts)
     narrow = all(getattr(each, 'dtype', None) == np.float32 for each in (origins, directions))
     given = Rays(
@@ -233,7 +214,7 @@ def points(
     places: ArrayLike, max_distance: ArrayLike, mask: ArrayLike, at: ArrayLike | None
 ) -> Batch:
     """Return n points; ValueError where an argument does not fit."""
-    where = _rows('points', places)
+    where = _places('points', places)
     count = len(where)
     reaches = _column('max_distance', max_distance, count)
     return _cloud_batch(
@@ -250,11 +231,11 @@ def boxes(
     at: ArrayLike | None,
 ) -> Batch:
     """Return n boxes; ValueError where an argument does not fit."""
-    where = _rows('centers', centers)
+    where = _places('centers', centers)
     count = len(where)
     given = Boxes(
         where,
-        _rows('sizes', sizes, count),
+        np.broadcast_to(checks.edge_lengths('sizes', sizes, count, planar=True), (count, 3)),
         _orientations(orientations, count),
         _column('tolerance', tolerance, count),
         checks.masks(mask, count),
@@ -283,7 +264,7 @@ def poses(
     between: bool = False,
 ) -> Batch:
     """Return n poses, or the sweeps `between` them; ValueError where an argument does not fit."""
-    places = _rows('positions', positions)
+    places = _places('positions', positions)
     given = Poses(places, _orientations(orientations, len(places)))
     times = _times('at', 0 if at is None else at, len(places))
     if times is None or (len(times) and not 0 <= times.min() <= times.max() <= LAST_STAMP):
@@ -318,25 +299,21 @@ def _times(name: str, given: ArrayLike | None, count: int) -> NDArray[np.int64] 
 
 
 def _orientations(given: ArrayLike | None, count: int) -> NDArray[np.float64]:
-    rows = _rows('orientations', UPRIGHT if given is None else given, count, 4)
+    turns = UPRIGHT if given is None else given
+    rows = np.broadcast_to(checks.rows_or_one('orientations', turns, 4, count), (count, 4))
     finite = np.isfinite(rows).all(axis=1, keepdims=True)  # the node answers other rows, not these
     checks.rotations('orientations', np.where(finite, rows, UPRIGHT))
     return rows
 
 
-def _rows(
-    name: str, given: ArrayLike, count: int | None = None, width: int = 3
-) -> NDArray[np.float64]:
-    if count is not None:
-        shapes = (width,), (count, width)
-        rows = _floats(name, given, shapes, f'the shape ({count}, {width}), not')
-        return np.broadcast_to(rows, (count, width))
-    rows = checks.floats(name, given)
-    if rows.ndim != 2 or rows.shape[1] != width:
-        raise ValueError(f'{name} must have the shape (n, {width}), not {rows.shape}')
-    return rows
+def _places(name: str, given: ArrayLike) -> NDArray[np.float64]:
+    return checks.rows(name, given, 3, None, planar=True)
 
 
 def _column(name: str, given: ArrayLike, count: int) -> NDArray[np.float64]:
-    wanted = f'one number or the shape ({count},), not'
-    return np.broadcast_to(_floats(name, given, ((), (count,)), wanted), (count,))
+    found: Any = given
+    if not isinstance(given, np.ndarray) or given.shape in ((), (count,)):
+        found = checks.floats(name, given)
+    if found.shape not in ((), (count,)):
+        raise ValueError(f'{name} must be one number or have shape ({count},), not {found.shape}')
+    return np.broadcast_to(found, (count,))

@@ -230,11 +230,11 @@ def check_rays(
     threads: int,
 ) -> Rays:
     """ValueError as `DynamicBVH.raycast_many`."""
-    starts = checks.points('origins', origins, ndim)
+    starts, along = checks.points_of_both(checks.RAY_ARGUMENTS, origins, directions, ndim)
     count = len(starts)
     return Rays(
         starts,
-        checks.points('directions', directions, ndim, count),
+        along,
         checks.limits('t_max', t_max, count),
         checks.masks(mask, count),
         checks.flag('skip_inside', skip_inside),

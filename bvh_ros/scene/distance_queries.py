@@ -39,7 +39,7 @@ class DistanceQueries:
         Parameters
         ----------
         point : array_like, shape (3,)
-            m; z is ignored in a planar scene.
+            m. In a planar scene z is ignored, and may be left out.
         k : int
             How many at most.
         max_distance : float
@@ -69,7 +69,7 @@ class DistanceQueries:
         """
         if self._store.change.unfinished:
             self._store.change.require_none()
-        where = checks.point('point', point, 3)
+        where = checks.point('point', point, 3, self._store.planar)
         limits = checks.limit('max_distance', max_distance), checks.mask(mask)
         many = checks.whole('k', k, 1)
         if self._timed.time_matters(at, None, 1):
@@ -145,7 +145,7 @@ class DistanceQueries:
         Parameters
         ----------
         points : array_like, shape (n, 3)
-            m; z is ignored in a planar scene.
+            m. In a planar scene z is ignored, and may be left out.
         k : int
             How many of each at most.
         max_distance, mask, at : one for all points, or array_like of shape (n,)
@@ -171,7 +171,7 @@ class DistanceQueries:
         """
         if self._store.change.unfinished:
             self._store.change.require_none()
-        where, many = checks.rows('points', points, 3), k
+        where, many = checks.rows('points', points, 3, None, self._store.planar), k
         if type(k) is not int or k != 1:
             many = checks.capacity('k', k)
         count = len(where)
@@ -242,7 +242,7 @@ class DistanceQueries:
         """
         if self._store.change.unfinished:
             self._store.change.require_none()
-        given = as_shapes(shapes)
+        given = as_shapes(shapes, self._store.planar)
         if type(threads) is not int or threads != 1:
             threads = checks.whole('threads', threads, 1)
         reaches = checks.FOREVER

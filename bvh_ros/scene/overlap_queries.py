@@ -4,7 +4,6 @@
 
 from typing import Any
 
-import numpy as np
 from numpy.typing import ArrayLike
 
 from ..tree.access import ALL, checks
@@ -28,11 +27,7 @@ from .timed_queries import TimedQueries
 
 def turns_of(orientations: ArrayLike, count: int, name: str = 'orientations') -> Floats:
     """Quaternions of all rows, or one for all, as (n, 4) or (1, 4)."""
-    if not isinstance(orientations, np.ndarray):
-        orientations = checks.floats(name, orientations)
-    if orientations.shape == (4,):
-        orientations, count = orientations[None], 1
-    turns = checks.rows(name, orientations, 4, count)
+    turns = checks.rows_or_one(name, orientations, 4, count)
     checks.rotations(name, turns)
     return turns
 
@@ -58,7 +53,7 @@ class OverlapQueries:
 
         Parameters
         ----------
-        start, goal : array_like, shape (3,)
+        start, goal : array_like, shape (3,), or (2,) in a planar scene
             Opposite corners of the box, m. If they are equal it is a point, with `tolerance` a
             ball.
         orientation : array_like, shape (4,), optional
@@ -89,7 +84,10 @@ class OverlapQueries:
         """
         if self._store.change.unfinished:
             self._store.change.require_none()
-        query = box_query(start, goal, orientation, tolerance, self._store.planar)
+        planar = self._store.planar
+        if planar:
+            start, goal = checks.with_z('start', start), checks.with_z('goal', goal)
+        query = box_query(start, goal, orientation, tolerance, planar)
         limit = checks.whole_or_none('most', most, 0)
         if self._timed.time_matters(at, None, 1):
             return self._then(query, None, mask, limit, at)
@@ -132,7 +130,8 @@ class OverlapQueries:
         """
         if self._store.change.unfinished:
             self._store.change.require_none()
-        query, hulls = shape_query(shape, tolerance, self._store.planar)
+        planar = self._store.planar
+        query, hulls = shape_query(as_one_shape(shape, planar), tolerance, planar)
         if self._timed.time_matters(at, None, 1):
             return self._then(query, hulls, mask, None, at)
         return self._now(query, hulls, mask, None)
@@ -152,10 +151,11 @@ class OverlapQueries:
 
         Parameters
         ----------
-        centers : array_like, shape (n, 3)
+        centers : array_like, shape (n, 3), or (n, 2) in a planar scene
             m.
-        sizes : array_like, shape (n, 3), or (3,) for all
-            Edge lengths, m. A box without any is a point, with `tolerance` a ball.
+        sizes : array_like, shape (n, 3), or one row for all, or a number
+            Edge lengths, m; in a planar scene two are enough. One number is that of cubes. A box
+            without any is a point, with `tolerance` a ball.
         orientations : array_like, shape (n, 4), or (4,) for all, optional
             Quaternions x, y, z, w of the boxes' axes.
         tolerance, mask, at : one for all boxes, or array_like of shape (n,)
@@ -186,13 +186,9 @@ class OverlapQueries:
         """
         if self._store.change.unfinished:
             self._store.change.require_none()
-        places = checks.rows('centers', centers, 3)
+        places = checks.rows('centers', centers, 3, None, self._store.planar)
         turns, count = UNTURNED, len(places)
-        if isinstance(sizes, np.ndarray) and (sizes.ndim == 2 or sizes.shape != (3,)):
-            edges = checks.rows('sizes', sizes, 3, count)
-        else:
-            edges = checks.floats('sizes', sizes)
-            edges = edges[None] if edges.shape == (3,) else checks.rows('sizes', edges, 3, count)
+        edges = checks.edge_lengths('sizes', sizes, count, self._store.planar)
         if orientations is not None:
             turns = turns_of(orientations, count)
         given = BOXES, places, turns, edges
@@ -216,7 +212,7 @@ class OverlapQueries:
         ----------
         shape : Shapes
             One row. Its poses are those given here, not its own.
-        positions : array_like, shape (n, 3)
+        positions : array_like, shape (n, 3), or (n, 2) in a planar scene
             m.
         orientations : array_like, shape (n, 4), or (4,) for all, optional
             Quaternions x, y, z, w. None: that of the shape.
@@ -225,8 +221,8 @@ class OverlapQueries:
         """
         if self._store.change.unfinished:
             self._store.change.require_none()
-        kinds, _, turns, sizes, mesh = as_one_shape(shape)
-        places = checks.rows('positions', positions, 3)
+        kinds, _, turns, sizes, mesh = as_one_shape(shape, self._store.planar)
+        places = checks.rows('positions', positions, 3, None, self._store.planar)
         count = len(places)
         if orientations is not None:
             turns = turns_of(orientations, count)

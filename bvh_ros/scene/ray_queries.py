@@ -37,7 +37,7 @@ class RayQueries:
 
         Parameters
         ----------
-        start, goal : array_like, shape (3,)
+        start, goal : array_like, shape (3,), or (2,) in a planar scene
             Ends of the segment, m. If they are equal, the query is the point (the ball) at
             `start`.
         radius : float
@@ -72,7 +72,8 @@ class RayQueries:
         store, radius = self._store, checks.limit('radius', radius)
         if radius == math.inf:
             raise ValueError('radius must be finite')
-        ends = checks.vector('start', start, 3), checks.vector('goal', goal, 3)
+        planar = store.planar
+        ends = checks.vector('start', start, 3, planar), checks.vector('goal', goal, 3, planar)
         ball = radius, checks.mask(mask), checks.flag('skip_inside', skip_inside)
         if (at is not None or until is not None) and self._timed.time_matters(at, until, 1):
             hit = self._timed.first_ray(ends, ball, at, until)
@@ -101,7 +102,7 @@ class RayQueries:
         """
         if self._store.change.unfinished:
             self._store.change.require_none()
-        origin, direction, radius = boxes.segment(start, goal, radius)
+        origin, direction, radius = boxes.segment(start, goal, radius, self._store.planar)
         most = checks.whole_or_none('most', most, 0)
         store, bits, skip = self._store, checks.mask(mask), checks.flag('skip_inside', skip_inside)
         sweep = Sweep(origin, direction, radius, bits, skip, True)
@@ -131,8 +132,8 @@ class RayQueries:
 
         Parameters
         ----------
-        origins, directions : array_like, shape (n, 3)
-            One of them may be (3,): the same for all rays.
+        origins, directions : array_like, shape (n, 3), or (n, 2) in a planar scene
+            One of them may be one row: the same for all rays.
         t_max, mask : one for all rays, or array_like of shape (n,)
 
         threads : int
@@ -149,7 +150,8 @@ class RayQueries:
         """
         if self._store.change.unfinished:
             self._store.change.require_none()
-        origins, directions = checks.both(checks.RAY_ARGUMENTS, origins, directions, 3)
+        given = origins, directions, 3, self._store.planar
+        origins, directions = checks.both(checks.RAY_ARGUMENTS, *given)
         limits = checks.limits_or_one('t_max', t_max, len(origins))
         rays = (
             origins,
@@ -177,8 +179,8 @@ class RayQueries:
 
         Parameters
         ----------
-        starts, goals : array_like, shape (n, 3)
-            Ends of the segments, m. One of them may be (3,): the same for all.
+        starts, goals : array_like, shape (n, 3), or (n, 2) in a planar scene
+            Ends of the segments, m. One of them may be one row: the same for all.
         radius, mask : one for all balls, or array_like of shape (n,)
             As in `raycast`.
         skip_inside : bool
@@ -195,7 +197,7 @@ class RayQueries:
         """
         if self._store.change.unfinished:
             self._store.change.require_none()
-        origins, ends = checks.both(('starts', 'goals'), starts, goals, 3)
+        origins, ends = checks.both(('starts', 'goals'), starts, goals, 3, self._store.planar)
         rays = (
             origins,
             ends,

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple, overload
 import numpy as np
 from numpy.typing import NDArray
 
-from ..tree.access import shown_point
+from ..tree.access import shown_point, shown_rows
 from .shapes.shape import ShapeKind
 
 # ---- What the scene returns.
@@ -70,6 +70,9 @@ class CastHits(NamedTuple):
     normals: NDArray[np.float64]
     """(n, 3) outward; zero where the way is free, or begins in the obstacle."""
 
+    def __repr__(self) -> str:
+        return shown_rows('CastHits', self.handles != NO_NODE, 'rays hit', 't', self.t)
+
 
 class ShapeSweeps(NamedTuple):
     """The first obstacles on n ways of a shape that may turn."""
@@ -86,6 +89,9 @@ class ShapeSweeps(NamedTuple):
     normals: NDArray[np.float64]
     """(n, 3) from there to the shape; zero where the way is free, or they overlap at the start."""
 
+    def __repr__(self) -> str:
+        return shown_rows('ShapeSweeps', self.handles != NO_NODE, 'sweeps hit', 't', self.t)
+
 
 class BoxHits(NamedTuple):
     """What touches n boxes: how many obstacles, and the first of each."""
@@ -100,6 +106,10 @@ class BoxHits(NamedTuple):
     """(n,) of the first one's closest point from the centre, m; inf where there is none."""
     points: NDArray[np.float64]
     """(n, 3) that point, m; NaN where there is none."""
+
+    def __repr__(self) -> str:
+        touched = self.handles != NO_NODE
+        return shown_rows('BoxHits', touched, 'boxes touched', 'distances', self.distances)
 
 
 class Clearance(NamedTuple):
@@ -118,6 +128,13 @@ class Clearance(NamedTuple):
     other_point: NDArray[np.float64]
     """Shape (3,), m: the point of the other that is closest."""
 
+    def __repr__(self) -> str:
+        return (
+            f'Clearance({self.name!r}, distance={self.distance:.6g}, '
+            f'point={shown_point(self.point)}, other_point={shown_point(self.other_point)}, '
+            f'handle={self.handle})'
+        )
+
 
 class Obstacle(NamedTuple):
     """What the scene knows of one obstacle.
@@ -135,6 +152,16 @@ class Obstacle(NamedTuple):
     expires: int
     source: str
     group: str
+
+    def __repr__(self) -> str:
+        turn = (
+            '' if self.orientation[3] == 1.0 else f'orientation={shown_point(self.orientation)}, '
+        )
+        return (
+            f'Obstacle({self.name!r}, {self.kind.name}, position={shown_point(self.position)}, '
+            f'{turn}size={shown_point(self.size)}, source={self.source!r}, '
+            f'handle={self.handle}, stamp={self.stamp})'
+        )
 
 
 # ---- Which rows of an update are refused, and why.

@@ -87,8 +87,9 @@ def column(
     whole = beyond or array.dtype.kind in 'iu'  # numpy makes objects of integers beyond 64 bits
     if not fits or not whole:
         number = 'an integer (ns) or a float (s)' if largest == LAST_TIME else 'an integer'
+        more = f', or {count} of them' if count > 1 else ''
         raise ValueError(
-            f'{name} must be {number} or {count} of them, not {array.dtype} of shape {array.shape}'
+            f'{name} must be {number}{more}, not {array.dtype} of shape {array.shape}'
         )
     if array.size and not _spans(array, least, largest):
         wrong = int(array.min() if array.min() < least else array.max())

@@ -109,7 +109,7 @@ class Scene(RayQueries, OverlapQueries, DistanceQueries, SweepQueries):
         store.uncertainty = checks.limit('uncertainty', uncertainty)
         if math.isinf(store.uncertainty):
             raise ValueError('uncertainty must be finite')
-        self._begin(store, Updates(store, categorise, as_region(region, 2 if flat else 3)))
+        self._begin(store, Updates(store, categorise, as_region(region, flat)))
 
     def _begin(self, store: Obstacles, updates: Updates) -> None:
         self._store, self._timed = store, TimedQueries(store)

@@ -55,7 +55,7 @@ class SweepQueries:
         ----------
         shape : Shapes
             One row, in the pose from which it starts.
-        goal_position : array_like, shape (3,)
+        goal_position : array_like, shape (3,), or (2,) in a planar scene
             m.
         goal_orientation : array_like, shape (4,), optional
             A quaternion x, y, z, w. None: it does not turn.
@@ -90,9 +90,9 @@ class SweepQueries:
         """
         if self._store.change.unfinished:
             self._store.change.require_none()
-        given = as_one_shape(shape)
+        given = as_one_shape(shape, self._store.planar)
         checks.finite('the position of shape', given.position)
-        goal = checks.point('goal_position', goal_position, 3)[None]
+        goal = checks.point('goal_position', goal_position, 3, self._store.planar)[None]
         turns = goal_turns = given.orientation
         if goal_orientation is not None:
             goal_turns = checks.point('goal_orientation', goal_orientation, 4)[None]
@@ -127,8 +127,8 @@ class SweepQueries:
         ----------
         shape : Shapes
             One row. Its poses are those given here, not its own.
-        positions, goal_positions : array_like, shape (n, 3)
-            m.
+        positions, goal_positions : array_like, shape (n, 3), or (n, 2) in a planar scene
+            m. One of them may be one row: the same for all.
         orientations : array_like, shape (n, 4), or (4,) for all, or None
             Quaternions x, y, z, w. None: that of the shape.
         goal_orientations : array_like, shape (n, 4), or (4,) for all, optional
@@ -156,10 +156,11 @@ class SweepQueries:
         wanted = WANTED.get(want) if isinstance(want, str) else None
         if wanted is None:
             raise ValueError(f'want must be first or any, not {checks.shown_short(want)}')
-        given = as_one_shape(shape)
-        starts = checks.points('positions', positions, 3)
+        given = as_one_shape(shape, self._store.planar)
+        names = 'positions', 'goal_positions'
+        ends = names, positions, goal_positions, 3, self._store.planar
+        starts, goals = checks.points_of_both(*ends)
         count = len(starts)
-        goals = checks.points('goal_positions', goal_positions, 3, count)
         turns = given.orientation if orientations is None else turns_of(orientations, count)
         goal_turns = turns
         if goal_orientations is not None:

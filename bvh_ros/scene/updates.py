@@ -23,19 +23,19 @@ NOBODY = np.empty(0, np.int64)
 Region = tuple[NDArray[np.float64], NDArray[np.float64]]  # lo, hi
 
 
-def as_region(given: tuple[ArrayLike, ArrayLike] | None, ndim: int) -> Region | None:
+def as_region(given: tuple[ArrayLike, ArrayLike] | None, planar: bool) -> Region | None:
     """Corners of a box that may be infinite; ValueError if it is none."""
     if given is None:
         return None
     corners = [
-        checks.unless_refused('region', corner, (ndim,))
+        checks.vector('region', corner, 3, planar)[: 2 if planar else 3].copy()
         for corner, _ in zip(checks.iterator('region', given), range(3), strict=False)
     ]
     if len(corners) != 2:
         raise ValueError('region must be two corners')
     lo, hi = corners
-    if lo.shape != (ndim,) or hi.shape != (ndim,) or not (lo <= hi).all():
-        raise ValueError(f'region must be two corners of {ndim} numbers, the lower one first')
+    if not (lo <= hi).all():
+        raise ValueError('region must be two corners, the lower one first')
     return lo, hi
 
 
@@ -82,14 +82,6 @@ class Follow(Protocol):
         """Velocities, (n, 3) m/s, of obstacles from where they were told to be."""
 
 
-def velocity_rows(given: Any, count: int) -> Floats:
-    """Velocities (count, 3), finite or not; ValueError if they are none."""
-    rows = checks.unless_refused('velocities', given, (count, 3))
-    if rows.shape != (count, 3):
-        raise ValueError(f'velocities must have shape ({count}, 3), not {rows.shape}')
-    return rows
-
-
 def speeds_of(
     store: Obstacles, given: ArrayLike | Follow, valid: Validated
 ) -> tuple[Floats, Validated]:
@@ -97,7 +89,8 @@ def speeds_of(
     count, ndim = len(valid.reasons.good), store.tree.ndim
     if callable(given) and hasattr(given, 'max_speed'):
         return _followed(store, given, valid.known, count), valid
-    rows = velocity_rows(given, count)
+    told: Any = given
+    rows = checks.rows('velocities', told, 3, count, store.planar)
     wrong = np.logical_not(np.isfinite(rows).all(axis=1))
     valid = _without(valid, wrong, 'its velocity is not finite')
     return np.ascontiguousarray(rows[:, :ndim]), valid
@@ -162,9 +155,10 @@ class Part(NamedTuple):
         ]
         if self.categories is not None:
             columns[2] = column('categories', self.categories, total, ALL)
-        follow = self.velocities if callable(self.velocities) else None
-        if self.velocities is not None and not follow:
-            columns[3] = velocity_rows(self.velocities, total)
+        told: Any = self.velocities
+        follow = told if callable(told) else None
+        if told is not None and not follow:
+            columns[3] = checks.copied_rows('velocities', told, 3, total)
         for begin in range(0, max(total, 1), length):
             rows = slice(begin, begin + length)
             shapes = given.take(rows)
@@ -368,7 +362,7 @@ class Updates:
         store = self._store
         store.change.require_none()
         self.remove_orphans()
-        shapes = as_shapes(part.shapes)
+        shapes = as_shapes(part.shapes, store.planar)
         if len(shapes.kind) > FEW_ROWS:
             self.require_memory(len(shapes.kind))
         names = as_families(part.names)

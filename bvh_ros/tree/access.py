@@ -81,7 +81,7 @@ from .query.slab import (
 )
 from .query.traversal import Stack, next_leaf, push_root
 from .query.within import boxes_within
-from .results import RayHits, shown_point
+from .results import RayHits, shown_point, shown_rows
 from .simd.int32x8 import AT_ONCE
 from .store import mapped
 from .store.arrays import Floats, Ids

@@ -110,7 +110,22 @@ def unless_refused(name: str, value: ArrayLike, shape: tuple[int, ...]) -> Float
     return floats(name, value)
 
 
-def vector(name: str, value: ArrayLike, ndim: int) -> Floats:
+def with_z(name: str, value: ArrayLike) -> Floats:
+    """Coordinates x, y, z of a world that is seen from above: z may be left out, and is 0 then.
+
+    Only the last axis is looked at, so the caller still has to check the shape.
+    """
+    array = value if isinstance(value, np.ndarray) else floats(name, value)
+    width = array.shape[-1] if array.ndim in (1, 2) else 0
+    if width == 2:
+        array = floats(name, array)
+        return np.concatenate((array, np.zeros((*array.shape[:-1], 1))), axis=-1)
+    if width != 3 and array.size:
+        raise ValueError(f'{name} must have 2 or 3 coordinates, not shape {array.shape}')
+    return array
+
+
+def vector(name: str, value: ArrayLike, ndim: int, planar: bool = False) -> Floats:
     """As `point`, but the caller's memory where that is of the same array type, and not known to
     be finite: for kernels that read it and see to that.
     """
@@ -121,14 +136,18 @@ def vector(name: str, value: ArrayLike, ndim: int) -> Floats:
         and value.flags.carray
     ):
         return value
+    if planar:
+        value = with_z(name, value)
     array = unless_refused(name, value, (ndim,))
     if array.shape != (ndim,):
         raise ValueError(f'{name} must have shape ({ndim},), not {array.shape}')
     return array
 
 
-def point(name: str, value: ArrayLike, ndim: int) -> Floats:
-    """A finite point or vector of shape (ndim,)."""
+def point(name: str, value: ArrayLike, ndim: int, planar: bool = False) -> Floats:
+    """A finite point or vector of shape (ndim,); `planar`: see `with_z`."""
+    if planar:
+        value = with_z(name, value)
     array = unless_refused(name, value, (ndim,))
     if array.shape != (ndim,):
         raise ValueError(f'{name} must have shape ({ndim},), not {array.shape}')
@@ -138,20 +157,28 @@ def point(name: str, value: ArrayLike, ndim: int) -> Floats:
     return array
 
 
-def points(name: str, value: ArrayLike, ndim: int, count: int | None = None) -> Floats:
-    """Finite points or vectors of shape (n, ndim); n is `count` where given."""
-    array = copied_rows(name, value, ndim, count)
+def points(
+    name: str, value: ArrayLike, ndim: int, count: int | None = None, planar: bool = False
+) -> Floats:
+    """Finite points or vectors of shape (n, ndim); n is `count` where given. `planar`: see
+    `with_z`.
+    """
+    array = copied_rows(name, value, ndim, count, planar)
     finite(name, array)
     return array
 
 
-def copied_rows(name: str, value: ArrayLike, ndim: int, count: int | None = None) -> Floats:
+def copied_rows(
+    name: str, value: ArrayLike, ndim: int, count: int | None = None, planar: bool = False
+) -> Floats:
     """As `points`, not known to be finite."""
-    array = rows(name, value, ndim, count)
+    array = rows(name, value, ndim, count, planar)
     return array.copy() if array is value else array
 
 
-def rows(name: str, value: ArrayLike, ndim: int, count: int | None = None) -> Floats:
+def rows(
+    name: str, value: ArrayLike, ndim: int, count: int | None = None, planar: bool = False
+) -> Floats:
     """As `points`, neither copied nor known to be finite: that is left to who reads them, each
     row once, and to `finite`.
     """
@@ -159,34 +186,67 @@ def rows(name: str, value: ArrayLike, ndim: int, count: int | None = None) -> Fl
         many, axes = value.shape
         if axes == ndim and (count is None or many == count) and value.flags.carray:
             return value
+    if planar:
+        value = with_z(name, value)
     if isinstance(value, np.ndarray):
         _rows(name, value, ndim, count)  # before it is copied
     return _rows(name, floats(name, value), ndim, count)
 
 
+def rows_or_one(
+    name: str, value: ArrayLike, ndim: int, count: int, planar: bool = False
+) -> Floats:
+    """As `rows`, or one for all, (1, ndim), of shape (ndim,)."""
+    if not isinstance(value, np.ndarray):
+        value = floats(name, value)
+    if value.ndim == 1 and value.size:
+        value, count = value[None], 1
+    return rows(name, value, ndim, count, planar)
+
+
+def edge_lengths(name: str, value: ArrayLike, count: int, planar: bool = False) -> Floats:
+    """Sizes of boxes, (count, 3), or one for all, (1, 3); one number is that of a cube."""
+    if isinstance(value, NUMBER):
+        value = np.full(3, limit(name, value))
+    return rows_or_one(name, value, 3, count, planar)
+
+
 def both(
-    names: tuple[str, str], one: ArrayLike, other: ArrayLike, ndim: int
+    names: tuple[str, str], first: ArrayLike, second: ArrayLike, ndim: int, planar: bool = False
 ) -> tuple[Floats, Floats]:
     """`rows` of two arrays of as many rows, in half the time. One of them may be one row for
     all.
     """
     if (
-        type(one) is type(other) is np.ndarray
-        and one.dtype is other.dtype is FLOAT64
-        and one.ndim == 2
-        and one.shape == other.shape
-        and one.shape[1] == ndim
-        and one.flags.carray
-        and other.flags.carray
+        type(first) is type(second) is np.ndarray
+        and first.dtype is second.dtype is FLOAT64
+        and first.ndim == 2
+        and first.shape == second.shape
+        and first.shape[1] == ndim
+        and first.flags.carray
+        and second.flags.carray
     ):
-        return one, other
-    if _is_row(one, ndim):
-        second = rows(names[1], other, ndim)
-        return np.tile(floats(names[0], one), (len(second), 1)), second
-    first = rows(names[0], one, ndim)
-    if _is_row(other, ndim):
-        return first, np.tile(floats(names[1], other), (len(first), 1))
-    return first, rows(names[1], other, ndim, len(first))
+        return first, second
+    if planar:
+        first, second = with_z(names[0], first), with_z(names[1], second)
+    if _is_row(first, ndim):
+        every = rows(names[1], second, ndim)
+        return np.tile(floats(names[0], first), (len(every), 1)), every
+    every = rows(names[0], first, ndim)
+    if _is_row(second, ndim):
+        return every, np.tile(floats(names[1], second), (len(every), 1))
+    return every, rows(names[1], second, ndim, len(every))
+
+
+def points_of_both(
+    names: tuple[str, str], first: ArrayLike, second: ArrayLike, ndim: int, planar: bool = False
+) -> tuple[Floats, Floats]:
+    """As `both`, but copies that are known to be finite."""
+    one, other = both(names, first, second, ndim, planar)
+    one, other = one.copy(), other.copy()
+    finite(names[0], one)
+    finite(names[1], other)
+    return one, other
 
 
 def _is_row(value: ArrayLike, ndim: int) -> bool:

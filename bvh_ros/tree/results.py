@@ -13,6 +13,17 @@ def shown_point(point: NDArray[np.float64]) -> str:
     return f'[{", ".join(f"{coordinate:.6g}" for coordinate in point)}]'
 
 
+def shown_rows(
+    name: str, found: NDArray[np.bool_], word: str, column: str, values: NDArray[np.float64]
+) -> str:
+    """How many rows of a batch found something, and the range of a column, for people."""
+    shown = f'{name}({np.count_nonzero(found):,} of {len(found):,} {word}'
+    if found.any():
+        some = values[found]
+        shown += f', {column} from {some.min():.6g} to {some.max():.6g}'
+    return f'{shown})'
+
+
 class RayHit(NamedTuple):
     """Where a ray enters a box."""
 
@@ -45,3 +56,6 @@ class RayHits(NamedTuple):
     """Distances in units of the directions, shape (n,); inf where nothing is hit."""
     normals: NDArray[np.float64]
     """Outward normals, shape (n, ndim); zero where nothing is hit or the ray starts inside."""
+
+    def __repr__(self) -> str:
+        return shown_rows('RayHits', self.ids >= 0, 'rays hit', 't', self.t)

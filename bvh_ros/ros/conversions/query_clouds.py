@@ -26,6 +26,7 @@ from bvh_ros.ros.conversions.cloud_fields import (
     widest,
 )
 from bvh_ros.ros.world.frames import Transform
+from bvh_ros.tree.access import shown_rows
 
 FREE = 0xFFFFFFFF  # instead of an obstacle's handle: nothing is hit
 UNANSWERED = 0xFFFFFFFE  # instead of an obstacle's handle: nobody knows
@@ -328,6 +329,9 @@ class Hits(NamedTuple):
     points: Floats  # (n, 3) m, NaN where nothing is hit
     normals: Floats  # (n, 3) outward; zero where nothing is hit or the ray starts inside
 
+    def __repr__(self) -> str:
+        return _shown('Hits', self.obstacles, 'rays hit', 't', self.t)
+
 
 class Near(NamedTuple):
     """The obstacles nearest to n points or shapes."""
@@ -336,6 +340,9 @@ class Near(NamedTuple):
     distances: Floats  # (n,) m, negative in depth; inf where there is none, NaN where unanswered
     normals: Floats  # (n, 3) from there to the point; zero within the obstacle
     obstacles: NDArray[np.uint32]  # (n,) node handles, FREE or UNANSWERED
+
+    def __repr__(self) -> str:
+        return _shown('Near', self.obstacles, 'near an obstacle', 'distances', self.distances)
 
 
 class PathHits(NamedTuple):
@@ -347,6 +354,9 @@ class PathHits(NamedTuple):
     obstacles: NDArray[np.uint32]
     t: Floats  # (n,) of the first contact, from the pose before (0) to this (1); inf: none
 
+    def __repr__(self) -> str:
+        return _shown('PathHits', self.obstacles, 'near an obstacle', 'distances', self.distances)
+
 
 class Touched(NamedTuple):
     """What touches n boxes."""
@@ -355,6 +365,16 @@ class Touched(NamedTuple):
     distances: Floats  # (n,) m, from there to the centre; inf where there is none
     obstacles: NDArray[np.uint32]  # (n,) the first, nearest to the centre; FREE or UNANSWERED
     counts: NDArray[np.uint32]  # (n,) how many there are; UNANSWERED where nobody knows
+
+    def __repr__(self) -> str:
+        return _shown('Touched', self.obstacles, 'boxes touched', 'distances', self.distances)
+
+
+def _shown(name: str, obstacles: NDArray[Any], word: str, column: str, values: Floats) -> str:
+    """`shown_rows`, and how many rows were not answered."""
+    lost = obstacles == UNANSWERED
+    shown = shown_rows(name, ~lost & (obstacles != FREE), word, column, values)
+    return f'{shown[:-1]}, {np.count_nonzero(lost):,} unanswered)' if lost.any() else shown
 
 
 Answer = TypeVar('Answer', Hits, Near, PathHits, Touched)

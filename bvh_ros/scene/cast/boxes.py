@@ -66,12 +66,15 @@ def first(
     return None if slot < 0 else (slot, t, place[0], place[1])
 
 
-def segment(start: ArrayLike, goal: ArrayLike, radius: float) -> tuple[Floats, Floats, float]:
+def segment(
+    start: ArrayLike, goal: ArrayLike, radius: float, planar: bool
+) -> tuple[Floats, Floats, float]:
     """Check the ends and the radius of a segment: (origin, direction, radius)."""
     radius = checks.limit('radius', radius)
     if math.isinf(radius):
         raise ValueError('radius must be finite')
-    origin, end = checks.vector('start', start, 3), checks.vector('goal', goal, 3)
+    origin = checks.vector('start', start, 3, planar)
+    end = checks.vector('goal', goal, 3, planar)
     # Three numbers: Python's own arithmetic takes a fifth of the time of numpy's.
     (x, y, z), (u, v, w) = origin.tolist(), end.tolist()
     direction = u - x, v - y, w - z

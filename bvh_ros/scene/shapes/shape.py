@@ -142,11 +142,11 @@ class Shapes(ShapeColumns):
     kind : array_like, shape (n,)
         Values of `ShapeKind`, or one for all.
     position : array_like, shape (n, 3)
-        Centres, m.
+        Centres, m. Two coordinates are enough for a planar scene; other scenes refuse them.
     orientation : array_like, shape (n, 4), or (4,) for all
         Quaternions x, y, z, w.
     size : array_like, shape (n, 3), or (3,) for all
-        Full edge lengths along the shape's own axes, m.
+        Full edge lengths along the shape's own axes, m. For a planar scene boxes need two only.
     mesh : sequence of n, optional
         A `Mesh` in the rows of kind MESH.
 
@@ -175,13 +175,13 @@ class Shapes(ShapeColumns):
         mesh: Sequence[Any] | NDArray[np.object_] | None = None,
     ) -> 'Shapes':
         """Check each argument, and each row."""
-        centres = _rows('position', position, 3)
+        centres = _places(position)
         count = len(centres)
         kinds = _kinds_of_rows(kind, count)
-        turns = _one_or_rows('orientation', orientation, count, 4)
+        turns = _one_or_rows('orientation', orientation, count, (4,))
         checks.rotations('orientation', turns)
         made = unchecked_shapes(kinds, centres, turns, _sizes(size, count), _meshes(mesh, kinds))
-        _require_legal(made)
+        _require_legal(as_shapes(made, planar=True))
         return made
 
     def __repr__(self) -> str:
@@ -212,7 +212,8 @@ class Shapes(ShapeColumns):
     def boxes(
         cls, position: ArrayLike, size: ArrayLike, orientation: ArrayLike | None = None
     ) -> 'Shapes':
-        """Boxes with centres (n, 3) and full edge lengths (n, 3), or (3,) for all, m.
+        """Boxes with centres (n, 3) and full edge lengths (n, 3), or (3,) for all, m; for a planar
+        scene two coordinates and two lengths are enough.
 
         `orientation`: quaternions x, y, z, w, (n, 4), or (4,) for all; None: axis-aligned.
         """
@@ -221,7 +222,7 @@ class Shapes(ShapeColumns):
     @classmethod
     def spheres(cls, position: ArrayLike, radius: ArrayLike) -> 'Shapes':
         """Balls with centres (n, 3) and a radius, one for all or (n,), m."""
-        centres = _rows('position', position, 3)
+        centres = _places(position)
         diameter = _diameters(radius, len(centres))
         size = np.repeat(diameter[:, None], 3, axis=1)
         return cls(ShapeKind.SPHERE, centres, IDENTITY, size)
@@ -239,7 +240,7 @@ class Shapes(ShapeColumns):
 
         `orientation`: quaternions x, y, z, w, (n, 4), or (4,) for all; None: upright.
         """
-        centres = _rows('position', position, 3)
+        centres = _places(position)
         across, along = _diameters(radius, len(centres)), _positive('height', height, len(centres))
         size = np.column_stack((across, across, along))
         return cls(ShapeKind.CYLINDER, centres, _unturned(orientation), size)
@@ -257,7 +258,7 @@ class Shapes(ShapeColumns):
 
         `orientation`: quaternions x, y, z, w, (n, 4), or (4,) for all; None: upright.
         """
-        centres = _rows('position', position, 3)
+        centres = _places(position)
         across, along = _diameters(radius, len(centres)), _positive('length', length, len(centres))
         short = np.flatnonzero(along < across)
         if len(short):
@@ -279,7 +280,7 @@ class Shapes(ShapeColumns):
 
         `orientation`: quaternions x, y, z, w, (n, 4), or (4,) for all; None: unturned.
         """
-        places = _rows('position', position, 3)
+        places = _places(position)
         if isinstance(meshes, Mesh):
             meshes = [meshes] * len(places)
         given, meshes = checks.iterator('meshes', meshes), []
@@ -335,16 +336,16 @@ def _kinds_of_rows(value: Any, count: int) -> NDArray[np.uint8]:
     return kinds
 
 
-def _one_or_rows(name: str, value: ArrayLike, count: int, width: int) -> Floats:
+def _one_or_rows(name: str, value: ArrayLike, count: int, widths: tuple[int, ...]) -> Floats:
     """A row for all, (width,) or (1, width), or (count, width), as rows of their own."""
-    shapes = (width,), (1, width), (count, width)
     array = value if isinstance(value, np.ndarray) else checks.floats(name, value)
     if count == 0 and array.shape == (0,):
-        array = array.reshape(0, width)
-    if array.shape not in shapes:
+        array = array.reshape(0, widths[0])
+    width = array.shape[-1] if array.ndim else 0
+    if width not in widths or array.shape[:-1] not in ((), (1,), (count,)):
         raise ValueError(
-            f'{name} must have shape ({count}, {width}) as position has {count} rows, or '
-            f'({width},) for all, not {array.shape}'
+            f'{name} must have shape ({count}, {widths[0]}) as position has {count} rows, or '
+            f'({widths[0]},) for all, not {array.shape}'
         )
     if array is value:
         array = checks.floats(name, array)
@@ -359,7 +360,7 @@ def _sizes(value: ArrayLike, count: int) -> Floats:
     """Edge lengths, of which one number is that of a cube."""
     if isinstance(value, checks.NUMBER):
         value = np.full(3, checks.one('size', value))
-    return _one_or_rows('size', value, count, 3)
+    return _one_or_rows('size', value, count, (3, 2))
 
 
 def _positive(name: str, value: ArrayLike, count: int) -> Floats:
@@ -420,9 +421,9 @@ def _require_legal(shapes: Shapes) -> None:
                 )
 
 
-def as_one_shape(shape: Shapes) -> Shapes:
+def as_one_shape(shape: Shapes, planar: bool = False) -> Shapes:
     """`as_shapes` of one row; ValueError if it has more or none."""
-    given = as_shapes(shape)
+    given = as_shapes(shape, planar)
     if len(given.kind) != 1:
         raise ValueError(
             f'shape must be one row of Shapes, not {len(given.kind)}: take([row]) is one'
@@ -430,9 +431,9 @@ def as_one_shape(shape: Shapes) -> Shapes:
     return given
 
 
-def as_shapes(shapes: Shapes) -> Shapes:
+def as_shapes(shapes: Shapes, planar: bool = False) -> Shapes:
     """The same with arrays of the right types; ValueError where they cannot be made so, or their
-    lengths disagree.
+    lengths disagree. Shapes of two coordinates are for a planar scene, and get the third.
     """
     if not isinstance(shapes, Shapes):
         raise ValueError(f'shapes must be of type Shapes, not {type(shapes).__name__}')
@@ -454,9 +455,11 @@ def as_shapes(shapes: Shapes) -> Shapes:
         return shapes  # much the most common: the rest takes twice as long
     kind = _kinds(kind)
     count = len(kind)
-    position = checks.rows('shapes.position', position, 3, count)
+    if not planar and 2 in (np.shape(position)[-1:] + np.shape(size)[-1:]):
+        raise ValueError('shapes of two coordinates need a planar scene: Scene(planar=True)')
+    position = checks.rows('shapes.position', position, 3, count, planar)
     orientation = checks.rows('shapes.orientation', orientation, 4, count)
-    size = checks.rows('shapes.size', size, 3, count)
+    size = checks.rows('shapes.size', size, 3, count, planar)
     if mesh is not None and (not isinstance(mesh, np.ndarray) or mesh.shape != (count,)):
         raise ValueError(f'shapes.mesh must be None or an array of shape ({count},)')
     return unchecked_shapes(kind, position, orientation, size, mesh)
@@ -475,13 +478,13 @@ def _kinds(value: Any) -> NDArray[np.uint8]:
     return np.where(known, kind, 255).astype(np.uint8)
 
 
-def _rows(name: str, value: ArrayLike, width: int) -> Floats:
-    """One row (width,) or many (n, width)."""
-    array = checks.floats(name, value)
-    if array.shape in ((0,), (width,)):
-        array = array.reshape(-1, width)
-    if array.ndim != 2 or array.shape[1] != width:
-        raise ValueError(f'{name} must have shape (n, {width}), not {array.shape}')
+def _places(value: ArrayLike) -> Floats:
+    """One centre, (3,), or many, (n, 3); or of two coordinates, for a planar scene."""
+    array = checks.floats('position', value)
+    if array.ndim == 1:
+        array = array.reshape(-1, len(array) or 3)
+    if array.ndim != 2 or array.shape[1] not in (2, 3):
+        raise ValueError(f'position must have shape (n, 3), not {array.shape}')
     return array
 
 

@@ -340,8 +340,8 @@ class BoxQueries(Introspection):
             In units of the directions, whatever `t_max` was; inf for a zero direction, and where
             it exceeds the largest double; NaN where the id is -1.
         """
-        starts = checks.points('origins', origins, self.ndim)
-        rays = checks.points('directions', directions, self.ndim, len(starts))
+        given = checks.RAY_ARGUMENTS, origins, directions, self.ndim
+        starts, rays = checks.points_of_both(*given)
         handles = handle_checks.numbers('ids', ids)
         if handles.shape != (len(starts),):
             raise ValueError(f'ids must have shape ({len(starts)},), not {handles.shape}')

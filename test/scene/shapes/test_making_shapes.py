@@ -39,7 +39,7 @@ def test_rows_of_several_kinds() -> None:
 TURNED = [0, 0, 0.6, 0.8]
 REFUSED = {
     'size before orientation': (lambda: Shapes([0, 0], TWO, TWO, [TURNED] * 2), 'orientation'),
-    'position before kind': (lambda: Shapes(TWO, [0, 0], TURNED, TWO), 'position'),
+    'position before kind': (lambda: Shapes(TWO, [0, 0], TURNED, TWO), 'kind must'),
     'no kind': (lambda: Shapes([0, 7], TWO, TURNED, 1), 'kind .* row 1 is 7'),
     'no ball': (lambda: Shapes(1, TWO, TURNED, [[1, 1, 1], [1, 1, 2]]), 'row 1 .* sizes'),
     'a hole': (lambda: Shapes.boxes(TWO, [[1, 1, 1], [1, 1, -1]]), 'row 1 .* size is negative'),
