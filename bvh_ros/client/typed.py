@@ -73,8 +73,8 @@ def clearances(
     frame_id: str,
 ) -> Typed:
     """Return a question about n shapes; ValueError where an argument does not fit."""
-    kind, request = _services().Clearance, _about('Clearance', shapes, mask, frame_id)
-    count = len(shapes.kind)
+    kind, given = _services().Clearance, as_shapes(shapes)
+    request, count = _about(kind, given, mask, frame_id), len(given.kind)
     request.max_distances = _doubles(messages.numbers_of('max_distance', max_distance, count))
     request.signed_distances = checks.flag('signed', signed)
     _set_times(request, messages.times_of('at', at, count), None)
@@ -93,8 +93,8 @@ def sweeps(
     frame_id: str,
 ) -> Typed:
     """Return a question about n ways; ValueError where an argument does not fit."""
-    kind, request = _services().Sweep, _about('Sweep', shapes, mask, frame_id)
-    count = len(shapes.kind)
+    kind, given = _services().Sweep, as_shapes(shapes)
+    request, count = _about(kind, given, mask, frame_id), len(given.kind)
     request.goal_positions = _doubles(messages.rows_of('goal_positions', goal_positions, count))
     if goal_orientations is not None:
         turns = messages.turns_of(goal_orientations, count, 'goal_orientations')
@@ -113,17 +113,16 @@ def _services() -> Any:
     return srv
 
 
-def _about(service: str, shapes: Shapes, mask: ArrayLike, frame_id: str) -> Any:
-    """Begin a request: what all have in common."""
-    given = as_shapes(shapes)
-    if (given.kind >= ShapeKind.MESH).any():
+def _about(kind: Any, shapes: Shapes, mask: ArrayLike, frame_id: str) -> Any:
+    """Begin a request to a service: what both have in common."""
+    if (shapes.kind >= ShapeKind.MESH).any():
         raise ValueError('shapes must be boxes, spheres, cylinders or capsules')
-    request = getattr(_services(), service).Request(with_names=False)
+    request = kind.Request(with_names=False)
     request.header.frame_id = messages.frame(frame_id)
-    request.kinds = array('B', given.kind.tobytes())
-    request.sizes, request.positions = _doubles(given.size), _doubles(given.position)
-    request.orientations = _doubles(given.orientation)
-    request.masks = array('I', checks.masks(mask, len(given.kind)).astype(np.uint32).tobytes())
+    request.kinds = array('B', shapes.kind.tobytes())
+    request.sizes, request.positions = _doubles(shapes.size), _doubles(shapes.position)
+    request.orientations = _doubles(shapes.orientation)
+    request.masks = array('I', checks.masks(mask, len(shapes.kind)).tobytes())
     return request
 
 
