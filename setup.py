@@ -38,7 +38,7 @@ TEST = [
 
 setup(
     name=NAME,
-    version='0.1.0',
+    version='1.0.0',
     description='Dynamic box tree of moving obstacles with exact raycasts, with or without ROS 2',
     long_description=Path('README.md').read_text(encoding='utf-8'),
     long_description_content_type='text/markdown',

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from .scene import NO_NODE, Mesh, Scene, ShapeKind, Shapes
     from .tree import ALL, DynamicBVH, RayHit, RayHits
 
-__version__ = '0.1.0'
+__version__ = '1.0.0'
 ROOMS = dict.fromkeys(('NO_NODE', 'Mesh', 'Scene', 'ShapeKind', 'Shapes'), 'scene')
 ROOMS['quaternions'] = 'orientations'  # all others are of the tree
 __all__ = [

@@ -295,6 +295,8 @@ TIMEOUT: dict[str, Any] = {'timeout': 0.01}
 CLIENT: dict[str, dict[str, Any]] = {
     'check_path': {'positions': ROWS, 'orientations': None, 'at': 1, 'frame_id': '',
                    'between': False, **TIMEOUT},
+    'clearance_many': {'shapes': FIVE, 'max_distance': 9.0, 'mask': 1, 'signed': False, 'at': 1,
+                       'frame_id': '', **TIMEOUT},
     'names': {'obstacles': [1], **TIMEOUT},
     'nearest': {'point': ORIGIN, 'max_distance': 9.0, 'at': 1, 'frame_id': '', **TIMEOUT},
     'nearest_many': {'points': ROWS, 'max_distance': 9.0, 'mask': 1, 'at': 1, 'frame_id': '',
@@ -309,6 +311,9 @@ CLIENT: dict[str, dict[str, Any]] = {
     'raycast_async': QUESTION,
     'raycast_many': BATCH | TIMEOUT,
     'raycast_many_async': BATCH,
+    'sweep_shape_many': {'shapes': FIVE, 'goal_positions': ENDS, 'goal_orientations': None,
+                         'tolerance': 0.1, 'mask': 1, 'resolution': 1e-3, 'at': 1, 'until': 2,
+                         'frame_id': '', **TIMEOUT},
     'wait_until_batches_are_ready': TIMEOUT,
     'wait_until_ready': TIMEOUT,
 }  # fmt: skip
@@ -331,8 +336,9 @@ def client(monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
 @pytest.mark.filterwarnings('ignore')
 @pytest.mark.parametrize('method', CLIENT)
 def test_a_client(client: Any, method: str) -> None:
-    from bvh_ros.client import BvhClient, BvhTimeoutError
+    from bvh_ros.client import BvhClient, BvhError
 
     assert {*CLIENT[method]} == parameters(BvhClient)[method]
-    wrong = complaints(method, CLIENT[method], lambda: client, answers=BvhTimeoutError)
+    # An error of no answer in time, or of a package that is not there.
+    wrong = complaints(method, CLIENT[method], lambda: client, answers=BvhError)
     assert not wrong, '\n'.join(wrong)

@@ -14,6 +14,7 @@ print(client.names(hits.obstacles))
 
 from bvh_ros.client.client import BvhClient
 from bvh_ros.client.messages import COMPILING, BvhError, BvhTimeoutError, Hit
+from bvh_ros.client.typed import Clearances, Sweeps
 from bvh_ros.ros.conversions.query_clouds import FREE, UNANSWERED, Hits
 
 __all__ = [
@@ -23,6 +24,8 @@ __all__ = [
     'BvhClient',
     'BvhError',
     'BvhTimeoutError',
+    'Clearances',
     'Hit',
     'Hits',
+    'Sweeps',
 ]

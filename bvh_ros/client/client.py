@@ -13,9 +13,10 @@ from numpy.typing import ArrayLike, NDArray
 from rclpy.node import Node
 from rclpy.task import Future
 
-from bvh_ros.client import messages
+from bvh_ros.client import messages, typed
 from bvh_ros.client.messages import UPRIGHT, Batch, Hit, length, place, request
 from bvh_ros.client.node import OneNode
+from bvh_ros.client.typed import Clearances, Sweeps
 from bvh_ros.client.waiting import Waiting
 from bvh_ros.ros.conversions.query_clouds import (
     EVERYTHING,
@@ -26,6 +27,7 @@ from bvh_ros.ros.conversions.query_clouds import (
     PathHits,
     Touched,
 )
+from bvh_ros.scene import Shapes
 from bvh_ros.tree.access import checks
 
 
@@ -430,6 +432,101 @@ class BvhClient:
         answers: Near | PathHits = self._answers(batch, frame_id, timeout)
         return answers
 
+    # ---- what only the typed services answer, see docs/typed_services.md; of one node
+
+    def clearance_many(
+        self,
+        shapes: Shapes,
+        max_distance: ArrayLike = np.inf,
+        mask: ArrayLike = EVERYTHING,
+        *,
+        signed: bool = False,
+        at: ArrayLike | None = None,
+        frame_id: str = '',
+        timeout: float | None = None,
+    ) -> Clearances:
+        """Return how far n shapes are from the nearest obstacle, by the service `query/clearance`.
+
+        Parameters
+        ----------
+        shapes : bvh_ros.scene.Shapes
+            Boxes, spheres, cylinders and capsules, n rows.
+        max_distance, mask : one for all shapes, or (n,) array_like
+            Obstacles that are farther away (m), or have no bit in common, are left out.
+        signed : bool
+            Where a shape and an obstacle overlap the distance is minus the depth, not 0.
+        at : int, float or (n,) array_like, optional
+            ints in ns or floats in s: the world as it is then, see `raycast`.
+        frame_id : str
+            Frame of all coordinates, by default the node's; transformed at the earliest time.
+        timeout : float, optional
+            Seconds to wait for the answer.
+
+        Returns
+        -------
+        Clearances
+            `obstacles` (n,), `distances` (n,), `shape_points` and `obstacle_points` (n, 3).
+
+        Raises
+        ------
+        BvhError
+            If the package bvh_msgs is not installed, or no row is answered, with the node's
+            reason; BvhTimeoutError if the node does not answer, or does not offer the service.
+        ValueError
+            If an argument has the wrong form, or several nodes are asked.
+        """
+        node = self._only()
+        asked = typed.clearances(shapes, max_distance, mask, signed, at, frame_id)
+        clearances: Clearances = node.typed_answers(asked, self._seconds(timeout))
+        return clearances
+
+    def sweep_shape_many(
+        self,
+        shapes: Shapes,
+        goal_positions: ArrayLike,
+        goal_orientations: ArrayLike | None = None,
+        tolerance: ArrayLike = 0.0,
+        mask: ArrayLike = EVERYTHING,
+        *,
+        resolution: float = 1e-4,
+        at: ArrayLike | None = None,
+        until: ArrayLike | None = None,
+        frame_id: str = '',
+        timeout: float | None = None,
+    ) -> Sweeps:
+        """Return the first obstacles on the ways of n shapes from their poses to others, by the
+        service `query/sweep`. The centre goes along a line, and the shape turns at constant rate.
+
+        Parameters
+        ----------
+        shapes : bvh_ros.scene.Shapes
+            Boxes, spheres, cylinders and capsules where they start, n rows.
+        goal_positions : array_like, shape (n, 3), or (3,) for all
+            m.
+        goal_orientations : array_like, shape (n, 4), or (4,) for all, optional
+            Quaternions x, y, z, w; None: those of the start.
+        tolerance, mask : one for all shapes, or (n,) array_like
+            The shapes are grown by `tolerance` all round, m.
+        resolution : float
+            m, above 0: what is not certainly farther away counts as contact.
+        at, until : int, float or (n,) array_like, optional
+            ints in ns or floats in s: when the shapes leave and arrive, see `raycast`.
+        frame_id, timeout
+            As of `clearance_many`, which says what is raised, too.
+
+        Returns
+        -------
+        Sweeps
+            `obstacles`, `t` and `free_until` (n,), `points` and `normals` (n, 3).
+        """
+        node = self._only()
+        asked = typed.sweeps(
+            *(shapes, goal_positions, goal_orientations, tolerance, mask, resolution),
+            *(at, until, frame_id),
+        )
+        sweeps: Sweeps = node.typed_answers(asked, self._seconds(timeout))
+        return sweeps
+
     def raycast_many_async(
         self,
         origins: ArrayLike,
@@ -475,7 +572,10 @@ class BvhClient:
 
     def _only(self) -> OneNode:
         if self._one is None:
-            raise ValueError('several nodes have no _async calls, and no paths `between` poses')
+            raise ValueError(
+                'several nodes have no _async calls, no paths `between` poses, no clearances and '
+                'no sweeps'
+            )
         return self._one
 
 

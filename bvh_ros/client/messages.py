@@ -190,18 +190,13 @@ def rays(
     given = Rays(
         starts,
         along,
-        _column('t_max', t_max, count),
+        numbers_of('t_max', t_max, count),
         checks.masks(mask, count),
         np.dtype(np.float32 if narrow else np.float64),
-        None if radius is None else _column('radius', radius, count),
+        None if radius is None else numbers_of('radius', radius, count),
     )
-    times, ends = _times('at', at, count), _times('until', until, count)
-    if ends is not None:
-        if times is None:
-            raise ValueError('until needs at')
-        if (ends < times).any():
-            row = int(np.argmax(ends < times))
-            raise ValueError(f'until must not be before at: row {row} is')
+    times, ends = spans_of(at, until, count)
+    if times is not None and ends is not None:
         moves = ends > times
         if (moves & np.isinf(given.t_max)).any():
             raise ValueError('t_max must end a ray that takes time')
@@ -214,11 +209,11 @@ def points(
     places: ArrayLike, max_distance: ArrayLike, mask: ArrayLike, at: ArrayLike | None
 ) -> Batch:
     """Return n points; ValueError where an argument does not fit."""
-    where = _places('points', places)
+    where = places_of('points', places)
     count = len(where)
-    reaches = _column('max_distance', max_distance, count)
+    reaches = numbers_of('max_distance', max_distance, count)
     return _cloud_batch(
-        'points', Points(where, reaches, checks.masks(mask, count)), _times('at', at, count)
+        'points', Points(where, reaches, checks.masks(mask, count)), times_of('at', at, count)
     )
 
 
@@ -231,16 +226,16 @@ def boxes(
     at: ArrayLike | None,
 ) -> Batch:
     """Return n boxes; ValueError where an argument does not fit."""
-    where = _places('centers', centers)
+    where = places_of('centers', centers)
     count = len(where)
     given = Boxes(
         where,
         np.broadcast_to(checks.edge_lengths('sizes', sizes, count, planar=True), (count, 3)),
-        _orientations(orientations, count),
-        _column('tolerance', tolerance, count),
+        turns_of(orientations, count),
+        numbers_of('tolerance', tolerance, count),
         checks.masks(mask, count),
     )
-    return _cloud_batch('boxes', given, _times('at', at, count))
+    return _cloud_batch('boxes', given, times_of('at', at, count))
 
 
 def _cloud_batch(
@@ -264,9 +259,9 @@ def poses(
     between: bool = False,
 ) -> Batch:
     """Return n poses, or the sweeps `between` them; ValueError where an argument does not fit."""
-    places = _places('positions', positions)
-    given = Poses(places, _orientations(orientations, len(places)))
-    times = _times('at', 0 if at is None else at, len(places))
+    places = places_of('positions', positions)
+    given = Poses(places, turns_of(orientations, len(places)))
+    times = times_of('at', 0 if at is None else at, len(places))
     if times is None or (len(times) and not 0 <= times.min() <= times.max() <= LAST_STAMP):
         raise ValueError('at must be what a stamp can hold')
 
@@ -282,7 +277,22 @@ def poses(
     return Batch('path sweeps' if between else 'paths', given, None, message)
 
 
-def _times(name: str, given: ArrayLike | None, count: int) -> NDArray[np.int64] | None:
+def spans_of(
+    at: ArrayLike | None, until: ArrayLike | None, count: int
+) -> tuple[NDArray[np.int64] | None, NDArray[np.int64] | None]:
+    """Return when n rows begin and end, ns; ValueError if one ends before it begins."""
+    begin, end = times_of('at', at, count), times_of('until', until, count)
+    if end is not None:
+        if begin is None:
+            raise ValueError('until needs at')
+        if (end < begin).any():
+            row = int(np.argmax(end < begin))
+            raise ValueError(f'until must not be before at: row {row} is')
+    return begin, end
+
+
+def times_of(name: str, given: ArrayLike | None, count: int) -> NDArray[np.int64] | None:
+    """Return times (n,) in ns, from one for all rows or one a row; None: now."""
     if given is None:
         return None
     try:
@@ -298,19 +308,28 @@ def _times(name: str, given: ArrayLike | None, count: int) -> NDArray[np.int64] 
     return np.broadcast_to(values, (count,)).astype(np.int64)
 
 
-def _orientations(given: ArrayLike | None, count: int) -> NDArray[np.float64]:
+def turns_of(
+    given: ArrayLike | None, count: int, name: str = 'orientations'
+) -> NDArray[np.float64]:
+    """Return quaternions (n, 4), from one for all rows or one a row; None: along the axes."""
     turns = UPRIGHT if given is None else given
-    rows = np.broadcast_to(checks.rows_or_one('orientations', turns, 4, count), (count, 4))
+    rows = np.broadcast_to(checks.rows_or_one(name, turns, 4, count), (count, 4))
     finite = np.isfinite(rows).all(axis=1, keepdims=True)  # the node answers other rows, not these
-    checks.rotations('orientations', np.where(finite, rows, UPRIGHT))
+    checks.rotations(name, np.where(finite, rows, UPRIGHT))
     return rows
 
 
-def _places(name: str, given: ArrayLike) -> NDArray[np.float64]:
-    return checks.rows(name, given, 3, None, planar=True)
+def places_of(name: str, given: ArrayLike, count: int | None = None) -> NDArray[np.float64]:
+    """Return places (n, 3), of two coordinates or three; with a count, from one for all rows or
+    one a row.
+    """
+    if count is None:
+        return checks.rows(name, given, 3, None, planar=True)
+    return np.broadcast_to(checks.rows_or_one(name, given, 3, count, planar=True), (count, 3))
 
 
-def _column(name: str, given: ArrayLike, count: int) -> NDArray[np.float64]:
+def numbers_of(name: str, given: ArrayLike, count: int) -> NDArray[np.float64]:
+    """Return numbers (n,), from one for all rows or one a row."""
     found: Any = given
     if not isinstance(given, np.ndarray) or given.shape in ((), (count,)):
         found = checks.floats(name, given)

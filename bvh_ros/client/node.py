@@ -27,6 +27,7 @@ from sensor_msgs.msg import PointCloud2
 
 from bvh_ros.client import messages
 from bvh_ros.client.messages import Batch, BvhError, BvhTimeoutError, Hit
+from bvh_ros.client.typed import Typed
 from bvh_ros.client.waiting import Patience, Question, Waiting, left
 from bvh_ros.ros.conversions.query_clouds import (
     UNANSWERED,
@@ -89,28 +90,25 @@ class OneNode:
         self.name = name
         self._node = node
         self._waiting = waiting
-        self._services = {
-            query: _Service(
-                waiting,
-                self._client(query, REQUESTS),
-                self._client(repeated(query), REPEATED_REPLIES),
-            )
-            for query in QUERIES
-        }
+        self._services = {query: self._service(GetPlan, query) for query in QUERIES}
         self._topics: dict[str, _Topic] = {}
         self._names: dict[int, str] | None = None  # None: no message of names has come
         self._has_names_topic = False
         self._opening = Lock()  # threads that come at once share the topics
 
-    def _client(self, service: str, qos: QoSProfile) -> Client:
-        return self._node.create_client(
-            GetPlan, f'{self.name}/{service}', qos_profile=qos, callback_group=self._waiting.group
+    def _service(self, kind: type, query: str) -> _Service:
+        clients = (
+            self._node.create_client(
+                kind, f'{self.name}/{name}', qos_profile=qos, callback_group=self._waiting.group
+            )
+            for name, qos in ((query, REQUESTS), (repeated(query), REPEATED_REPLIES))
         )
+        return _Service(self._waiting, *clients)
 
     def wait_until_ready(self, timeout: float) -> None:
         """See `BvhClient.wait_until_ready`."""
         deadline = time.monotonic() + timeout
-        clients = [service.reliable for service in self._services.values()]
+        clients = [self._services[query].reliable for query in QUERIES]
         if not self._waiting.until(lambda: all(c.service_is_ready() for c in clients), timeout):
             raise BvhTimeoutError(f"no services of '{self.name}' after {timeout:g} s")
         while compiling := self._compiling(deadline - time.monotonic()):
@@ -149,6 +147,21 @@ class OneNode:
     ) -> Any:
         """Return the answers to a batch."""
         return self._waiting.result(self.batch_question(batch, frame_id, stamp), timeout)
+
+    def typed_answers(self, asked: Typed, timeout: float) -> Any:
+        """Return the answers of a typed service; BvhTimeoutError if the node does not offer it."""
+        deadline = time.monotonic() + timeout
+        with self._opening:
+            if asked.query not in self._services:
+                self._services[asked.query] = self._service(asked.kind, asked.query)
+        service = self._services[asked.query]
+        if not self._waiting.until(service.reliable.service_is_ready, timeout):
+            raise BvhTimeoutError(
+                f"no '{self.name}/{asked.query}' after {timeout:g} s: the node needs the package "
+                "bvh_msgs, and its parameter 'batch'"
+            )
+        call = _Call(service, asked.request, asked.read, None, asked.work)
+        return self._waiting.result(call, left(deadline))
 
     def question(
         self,
@@ -276,9 +289,11 @@ class _Call(Question):
         request: Any,
         read: Callable[[Any], Any],
         executor: Executor | None,
+        work: float = 0.0,
     ) -> None:
         super().__init__(service.reliable.srv_name, service.patience, executor)
         self._service, self._request, self._read = service, request, read
+        self._work = work
         self._requests: list[tuple[Client, Future]] = []
         held_up = time.monotonic() < service.held_up_until
         twin = service.twin if held_up else None
@@ -299,12 +314,12 @@ class _Call(Question):
         def settle(reply: Future) -> None:
             if reply.cancelled():
                 return
-            is_first = self.settle(lambda: self._read(reply.result()), began)
+            is_first = self.settle(lambda: self._read(reply.result()), began, self._work)
             if is_first and number > self._reliable:
                 service.held_up_until = time.monotonic() + HEARTBEAT
 
         reply.add_done_callback(settle)
-        return 0.0
+        return self._work
 
     def forget(self) -> None:
         """Expect no reply any more."""

@@ -4,9 +4,10 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections import deque
-from collections.abc import Callable, Generator, Iterator, Sequence
+from collections.abc import Callable, Generator, Hashable, Iterator, Sequence
 from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -155,25 +156,36 @@ def prepare(
         yield from changes.read(owner, prepare_all)
 
 
-def in_pieces(
-    count: int, answer: Callable[[slice], None], rows: int = SMALLEST_PIECE
-) -> Generator[None, None, int]:
-    """Answer `count` rows, piece by piece with pauses; a piece takes about PIECE_TIME. The first
-    one has so many rows; return how many the next may have.
+class Pace:
+    """Answers questions in pieces that take about PIECE_TIME, whatever a row takes.
+
+    The first piece of a question has as many rows as the last one of its kind, if that was a
+    moment ago.
     """
-    begin = 0
-    while begin < count:
-        if begin:
-            yield
-        began = time.perf_counter()
-        end = min(begin + rows, count)
-        answer(slice(begin, end))
-        took = max(time.perf_counter() - began, 1e-6)
-        more = int((end - begin) * min(PIECE_TIME / took, GROWTH))
-        if more < rows or end - begin == rows:
-            rows = min(max(more, SMALLEST_PIECE), LARGEST_PIECE)
-        begin = end
-    return rows
+
+    def __init__(self) -> None:
+        self._pieces: dict[Hashable, tuple[int, float]] = {}  # rows, and when that was found, s
+
+    def answer(
+        self, kind: Hashable, count: int, answer: Callable[[slice], None]
+    ) -> Generator[None, None, None]:
+        """Answer `count` rows of one kind, piece by piece with pauses."""
+        rows, when = self._pieces.get(kind, (SMALLEST_PIECE, -math.inf))
+        if time.monotonic() - when >= RECENT:
+            rows = SMALLEST_PIECE
+        begin = 0
+        while begin < count:
+            if begin:
+                yield
+            began = time.perf_counter()
+            end = min(begin + rows, count)
+            answer(slice(begin, end))
+            took = max(time.perf_counter() - began, 1e-6)
+            more = int((end - begin) * min(PIECE_TIME / took, GROWTH))
+            if more < rows or end - begin == rows:
+                rows = min(max(more, SMALLEST_PIECE), LARGEST_PIECE)
+            begin = end
+        self._pieces[kind] = rows, time.monotonic()
 
 
 class Batch(NodePart):
@@ -211,9 +223,7 @@ class Batch(NodePart):
         self.timings = Timings()
         self._world = world
         self._kernels = kernels
-        # Of questions about other times or not, with radii or not: rows of a piece, and when that
-        # was found, s.
-        self._pieces: dict[tuple[bool, bool], tuple[int, float]] = {}
+        self._pace = Pace()
         # Questions that wait, the first begun: their bytes, and what answers them.
         self._work: deque[tuple[bytes, Iterator[None]]] = deque()
         self._answered: deque[tuple[bytes, float]] = deque(maxlen=DEPTH)
@@ -342,13 +352,8 @@ class Batch(NodePart):
         rays = len(questions) if self.question is Rays else 0
         spans = partial(self._spans, questions.moments(), stamp)
         yield from prepare(self, self._world, rays, spans)
-        kind, now = (questions.has_times, questions.has_radii), time.monotonic()
-        pieces = self._pieces.get(kind)
-        recent = pieces is not None and now - pieces[1] < RECENT
-        rows = yield from in_pieces(
-            len(questions), answer, pieces[0] if pieces and recent else SMALLEST_PIECE
-        )
-        self._pieces[kind] = rows, time.monotonic()
+        kind = questions.has_times, questions.has_radii
+        yield from self._pace.answer(kind, len(questions), answer)
         return table.cloud()
 
     def _load(self, questions: Any) -> Iterator[None]:

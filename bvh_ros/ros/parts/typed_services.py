@@ -36,15 +36,7 @@ from bvh_ros.ros.conversions.query_clouds import (
     take,
 )
 from bvh_ros.ros.conversions.times import nanoseconds
-from bvh_ros.ros.parts.batches import (
-    UNKNOWN_TIME,
-    Spans,
-    Times,
-    in_pieces,
-    near,
-    prepare,
-    spans_after,
-)
+from bvh_ros.ros.parts.batches import UNKNOWN_TIME, Pace, Spans, Times, near, prepare, spans_after
 from bvh_ros.ros.parts.part import NodePart, Timings
 from bvh_ros.ros.parts.services import in_turns
 from bvh_ros.ros.qos import repeated
@@ -228,6 +220,7 @@ class TypedServices(NodePart):
         self._kernels = kernels
         settings = world.settings
         self._limit, self._threads = settings.max_hits, settings.threads_for
+        self._pace = Pace()
         self._work: list[Generator[None, None, str]] = []  # begun
         ray, points = Question(Raycast, _rays, _ray_kernels, self._cast), ['points']
         near_point = Question(Nearest, _points, _point_kernels, self._nearest)
@@ -304,7 +297,8 @@ class TypedServices(NodePart):
                 'history'
             )
         begin = stamp or self.node.get_clock().now().nanoseconds
-        for name in question.needs(request, rows.since is not None):
+        needs = question.needs(request, rows.since is not None)
+        for name in needs:
             yield from self._kernels.load(name)
         statuses = np.full(count, STATUS.OK, np.uint8)
         parts: list[tuple[NDArray[np.int64], Answers]] = []
@@ -342,7 +336,9 @@ class TypedServices(NodePart):
 
         rays = count if isinstance(rows, Rays) else 0
         yield from prepare(self, world, rays, partial(spans_of, rows))
-        yield from in_pieces(count, answer)
+        every = isinstance(request, Raycast.Request) and request.all_hits
+        kind = question.kind, *needs, rows.since is not None, every
+        yield from self._pace.answer(kind, count, answer)
         if not count:  # an incomplete world is no answer even to nothing
             world.at(self.node.get_clock().now().nanoseconds)
         answers = merged(count, parts)
@@ -625,10 +621,12 @@ def back(transform: Transform, answers: Answers, question: Question) -> Answers:
 
 def _states(
     scene: NodeScene, spans: Spans | None, good: NDArray[np.bool_]
-) -> Generator[tuple[NodeScene, NDArray[np.int64], Times | None, Times | None], None, None]:
+) -> Generator[tuple[NodeScene, Any, Times | None, Times | None], None, None]:
     """The states that the good rows are about: scene, rows, begin and end of each."""
     if spans is None:
-        if good.any():
+        if good.all():  # no row is copied
+            yield scene, slice(None), None, None
+        elif good.any():
             yield scene, np.flatnonzero(good), None, None
         return
     rows = np.flatnonzero(good)

@@ -180,7 +180,8 @@ def test_a_piece_of_a_batch_takes_a_turn_whatever_a_row_takes(monkeypatch, row):
         pieces.append(piece)
         clock.now += row * (piece.stop - piece.start)
 
-    for _ in batches.in_pieces(50_000, answer):
+    pace = batches.Pace()
+    for _ in pace.answer('rays', 50_000, answer):
         pass
     assert [pieces[0].start, pieces[-1].stop] == [0, 50_000]
     assert all(a.stop == b.start for a, b in itertools.pairwise(pieces))
@@ -188,6 +189,12 @@ def test_a_piece_of_a_batch_takes_a_turn_whatever_a_row_takes(monkeypatch, row):
     most = min(max(1.01 * batches.PIECE_TIME / row, batches.SMALLEST_PIECE), batches.LARGEST_PIECE)
     assert max(sizes) <= most
     assert np.median(sizes) >= 0.25 * min(most, 50_000)
+    pieces.clear()
+    for kind in ('rays', 'points'):  # a question goes on as the last one of its kind
+        next(pace.answer(kind, 50_000, answer))
+    found, new = (piece.stop for piece in pieces)
+    assert 0.5 * max(sizes) <= found <= most
+    assert new == batches.SMALLEST_PIECE
 
 
 def boxes_and_ends(count=3000):

@@ -1,0 +1,152 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Clearances and sweeps through the Python client: what a scene of the same obstacles says."""
+
+import numpy as np
+import pytest
+
+pytest.importorskip('rclpy', reason='rclpy is not installed', exc_type=ImportError)
+
+import rclpy
+from ros.parts.mixed_world import FACING, PARAMETERS, PLACE, fill, same_scene
+
+from bvh_ros.client import COMPILING, FREE, UNANSWERED, BvhClient, BvhError, BvhTimeoutError
+from bvh_ros.ros.server import has_typed_services
+from bvh_ros.scene import ShapeKind, Shapes
+from bvh_ros.scene.shapes.shape import unit_quaternions
+
+ROWS = 60
+RNG = np.random.default_rng(7)
+PLACES = RNG.uniform(-7, 7, (ROWS, 3))
+TURNS = unit_quaternions(RNG.normal(size=(ROWS, 4)))
+SIZES = np.tile((0.5, 0.5, 0.8), (ROWS, 1))
+KINDS = np.arange(ROWS, dtype=np.uint8) % 4
+SIZES[KINDS == ShapeKind.SPHERE, 2] = 0.5
+SHAPES = Shapes(KINDS, PLACES, TURNS, SIZES)
+GOALS = PLACES + RNG.normal(0.0, 1.0, (ROWS, 3))
+
+needs_services = pytest.mark.skipif(
+    not has_typed_services(), reason='bvh_msgs is not built: pip install ./bvh_msgs'
+)
+
+
+@pytest.fixture
+def node():
+    node = rclpy.create_node('asker')
+    yield node
+    node.destroy_node()
+
+
+def compiled(world, ask):
+    """The answer, once the node has compiled what it needs."""
+    answers = []
+
+    def answered():
+        try:
+            answers.append(ask())
+        except BvhError as error:
+            if not str(error).startswith(COMPILING):
+                raise
+        return answers
+
+    world.until_compiled(answered)
+    return answers[0]
+
+
+@pytest.fixture(scope='module')
+def filled(start_node, messages):
+    world = start_node(PARAMETERS)
+    fill(world, messages)
+    return world
+
+
+@pytest.fixture
+def client(filled, node):
+    return BvhClient(node, filled.name, timeout=60.0)
+
+
+@needs_services
+@pytest.mark.slow
+@pytest.mark.parametrize('signed', [False, True])
+def test_clearances_are_those_of_a_scene(filled, client, signed):
+    scene, reach = same_scene(), np.linspace(0.1, 9.0, ROWS)
+    found = compiled(filled, lambda: client.clearance_many(SHAPES, reach, 2, signed=signed))
+    handles, *expected = scene.clearance_many(SHAPES, reach, 2, signed)
+    names = client.names(found.obstacles)
+    assert 0 < len(names) < ROWS
+    for row, handle in enumerate(handles.tolist()):
+        own = int(found.obstacles[row])
+        assert own == FREE if handle == FREE else names[own] == scene.name_of(handle)
+    for mine, others in zip(found[1:], expected, strict=True):
+        np.testing.assert_array_equal(mine, others)
+
+
+@needs_services
+@pytest.mark.slow
+def test_sweeps_are_those_of_a_scene(filled, client):
+    scene, turns = same_scene(), TURNS[::-1]
+    tolerance = np.linspace(0.0, 0.2, ROWS)
+    asked = SHAPES, GOALS, turns, tolerance
+    found = compiled(filled, lambda: client.sweep_shape_many(*asked, resolution=1e-3))
+    for row in range(ROWS):
+        given = GOALS[row], turns[row], tolerance[row]
+        one = scene.sweep_shape(SHAPES.take([row]), *given, resolution=1e-3)
+        assert (found.obstacles[row] == FREE) == (one is None)
+        assert found.t[row] == (np.inf if one is None else one.t)
+    assert 0 < np.isfinite(found.t).sum() < ROWS
+
+
+@needs_services
+@pytest.mark.slow
+def test_another_frame_is_that_of_the_answers(filled, client):
+    places = FACING.inv().apply(PLACES - PLACE)
+    balls = Shapes.spheres(places, 0.1)
+    found = compiled(filled, lambda: client.clearance_many(balls, frame_id='lidar'))
+    _, distances, _, points = same_scene().clearance_many(Shapes.spheres(PLACES, 0.1))
+    np.testing.assert_allclose(found.distances, distances, atol=1e-9)
+    there = FACING.inv().apply(points - PLACE)
+    apart = distances > 0  # else any common point is right
+    np.testing.assert_allclose(found.obstacle_points[apart], there[apart], atol=1e-9)
+
+
+@needs_services
+@pytest.mark.slow
+def test_what_has_no_answer_never_looks_free(filled, client):
+    bad = SHAPES._replace(position=np.where(np.arange(ROWS)[:, None] == 1, np.nan, PLACES))
+    found = compiled(filled, lambda: client.clearance_many(bad))
+    assert found.obstacles[1] == UNANSWERED
+    assert np.isnan(found.distances[1])
+    assert np.isfinite(np.delete(found.distances, 1)).all()
+    ways = compiled(filled, lambda: client.sweep_shape_many(bad, GOALS))
+    assert ways.obstacles[1] == UNANSWERED
+    assert np.isnan(ways.t[1])
+    with pytest.raises(BvhError, match='centre is not finite'):
+        client.clearance_many(bad.take([1]))
+    with pytest.raises(BvhError, match='mars'):
+        client.clearance_many(SHAPES, frame_id='mars')
+    with pytest.raises(BvhError, match='no source predicts'):
+        client.clearance_many(SHAPES, at=1)
+    assert len(client.clearance_many(SHAPES.take([])).obstacles) == 0
+
+
+@needs_services
+def test_arguments_that_do_not_fit(filled, client):
+    with pytest.raises(ValueError, match='until needs at'):
+        client.sweep_shape_many(SHAPES, GOALS, until=2)
+    with pytest.raises(ValueError, match='goal_positions'):
+        client.sweep_shape_many(SHAPES, GOALS[1:])
+    with pytest.raises(ValueError, match='several nodes'):
+        BvhClient(client.node, ['/a', '/b']).clearance_many(SHAPES)
+
+
+@needs_services
+def test_a_node_without_the_services_is_an_error_in_time(node):
+    nobody = BvhClient(node, '/nobody/bvh', timeout=0.1)
+    with pytest.raises(BvhTimeoutError, match='query/clearance'):
+        nobody.clearance_many(SHAPES)
+
+
+def test_without_the_package_the_error_names_it(node, monkeypatch):
+    monkeypatch.setitem(__import__('sys').modules, 'bvh_msgs', None)
+    with pytest.raises(BvhError, match='bvh_msgs'):
+        BvhClient(node, '/nobody/bvh').clearance_many(SHAPES)
