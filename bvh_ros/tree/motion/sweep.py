@@ -49,8 +49,7 @@ from ..batch.streams import (
     visit_leaf,
 )
 from ..compiler import CACHE_LINE, WIDTH, inlined, lean_kernel, prefetch, stack_array
-from ..entries import entry_points
-from ..nodes import NONE, Tree, aligned_empty
+from ..nodes import NONE, Tree, aligned_empty, entry_points
 from ..query.ray import ANY, CLOSEST, NO_HITS, Hit, of_row
 from ..query.slab import EXACT, INSIDE, set_ray
 from ..results import RayHits

@@ -14,8 +14,18 @@ from numpy.typing import NDArray
 from .. import checks
 from ..checks import INT64
 from ..compiler import inlined, lean_kernel, stack_array
-from ..entries import entry_points
-from ..nodes import CHANGES, DEEPEST, EXACT_RAYS, NONE, RAYS, ROOT, Tree, View, leaf_box
+from ..nodes import (
+    CHANGES,
+    DEEPEST,
+    EXACT_RAYS,
+    NONE,
+    RAYS,
+    ROOT,
+    Tree,
+    View,
+    entry_points,
+    leaf_box,
+)
 from ..results import RayHits
 from ..store.turns import (
     ANY_VERSION,

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .. import changing, handle_checks
+from .. import changing, checks
 from ..batch.snapshot import (
     LEAST_RAYS,
     LOOSE_VISITS_PER_BOX,
@@ -20,7 +20,7 @@ from ..batch.snapshot import (
     patched,
     take_snapshot,
 )
-from ..build.room import Room, leave_room, spare_room
+from ..build.building import Room, leave_room, spare_room
 from ..moving import Change, Policy
 from ..nodes import (
     CHANGES,
@@ -36,8 +36,7 @@ from ..nodes import (
     Tree,
     View,
 )
-from .memory import touch
-from .storage import READ_ONLY, Storage, allocate, inherit_entry
+from .storage import READ_ONLY, Storage, allocate, inherit_entry, touch
 from .turns import ANY_VERSION, CHANGED, IS_CHANGED, IS_QUERIED, QUERIED
 
 Ids = NDArray[np.int64]
@@ -107,17 +106,17 @@ class Arrays:
         which a caller may keep in arrays what he knows of the boxes. A slot is given again once
         its box is removed. KeyError if a handle names no box.
         """
-        given = handle_checks.array_of('handles', handles)
-        flat = handle_checks.slots_of(self._view().tree.handles, given.reshape(-1), once=False)
+        given = checks.array_of('handles', handles)
+        flat = checks.slots_of(self._view().tree.handles, given.reshape(-1), once=False)
         return flat.reshape(given.shape)
 
     def _slot(self, handle: int) -> int:
         """`_slots` of one handle."""
-        number, handles = handle_checks.handle(handle), self._settled().tree.handles
+        number, handles = checks.handle(handle), self._settled().tree.handles
         slot = number & SLOT_MASK
         if slot < len(handles) and handles.item(slot) == number:
             return slot
-        raise handle_checks.unknown(handle)
+        raise checks.unknown(handle)
 
     @property
     def _state(self) -> NDArray[np.int64]:

@@ -17,7 +17,7 @@ import pytest
 from numba.core import config
 from tree.compiler.alone import run_alone
 
-from bvh_ros.tree import box_checks, checks, handle_checks
+from bvh_ros.tree import checks
 from bvh_ros.tree.compiler import compiling, kernel_cache, kernel_files, private_folder
 
 ROWS = np.array([[0.0, 1.0], [2.0, np.nan]])
@@ -79,7 +79,7 @@ def test_checked_code_is_not_taken_for_unchecked(cache, monkeypatch):
     """The second slot is written behind its array's end, to memory that is there."""
     handles, slots = np.arange(2), np.zeros(2, np.int64)
     asked = handles, handles, np.zeros(0, np.bool_), slots[:1]
-    function = handle_checks._fill_slots.py_func
+    function = checks._fill_slots.py_func
     assert compiling.kernel(function)(*asked) == (-1, 0)
     assert slots[1] == 1
     monkeypatch.setattr(config, 'BOUNDSCHECK', 1)
@@ -137,7 +137,7 @@ def test_what_machine_code_was_made_from_is_not_kept(cache):
 
 def test_another_file_under_a_kernels_name_is_compiled_again(cache):
     """Another kernel's, another version's, a folder, a link to nothing, one that is not ours."""
-    compiling.lean_kernel(box_checks._first_no_box.py_func)(ROWS, ROWS)
+    compiling.lean_kernel(checks._first_no_box.py_func)(ROWS, ROWS)
     (other,) = kept_files(cache)
     misses()
     (file,) = {*kept_files(cache)} - {other}
@@ -186,12 +186,12 @@ def test_what_no_longer_unpickles_is_compiled_again(cache, error):
 NO_SPACE = """
 import resource, sys
 import numpy as np
-from bvh_ros.tree import box_checks, checks
+from bvh_ros.tree import checks
 
 resource.setrlimit(resource.RLIMIT_FSIZE, (int(sys.argv[1]), -1))
 rows = np.array([[0.0, 1.0], [2.0, np.nan]])
 assert checks.first_not_finite(rows) == 1
-assert box_checks._first_no_box(rows, rows - [0.0, 1.0]) == 0
+assert checks._first_no_box(rows, rows - [0.0, 1.0]) == 0
 """
 
 
