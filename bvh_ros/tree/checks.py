@@ -152,8 +152,8 @@ def copied_rows(name: str, value: ArrayLike, ndim: int, count: int | None = None
 
 
 def rows(name: str, value: ArrayLike, ndim: int, count: int | None = None) -> Floats:
-    """As `points`, neither copied nor known to be finite: that is left to who reads them, each
-    row once, and to `finite`.
+    """As `points`, neither copied nor known to be finite: that is left to the kernel that
+    reads each row once, and to `finite`.
     """
     if type(value) is np.ndarray and value.dtype is FLOAT64 and value.ndim == 2:
         many, axes = value.shape
@@ -395,7 +395,7 @@ def capacity(name: str, value: Any) -> int:
 
 
 @lean_kernel
-def _first_no_box(lo, hi):
+def first_no_box(lo, hi):
     """The first row of lo and hi, (n, ndim) float64, that is not finite or has lo > hi; else -1"""
     low, high = lo.reshape(lo.size), hi.reshape(lo.size)
     # Without a way out of the loop it is one of vectors.
@@ -413,8 +413,8 @@ def _first_no_box(lo, hi):
 
 @functools.cache
 def _first_entry() -> Callable[..., Any]:
-    """The machine code of `_first_no_box`."""
-    return entry_point(_first_no_box, np.empty((0, 3)), np.empty((0, 3)))
+    """The machine code of `first_no_box`."""
+    return entry_point(first_no_box, np.empty((0, 3)), np.empty((0, 3)))
 
 
 def boxes(
@@ -489,7 +489,7 @@ LAST_INT64 = (1 << 63) - 1
 
 
 @lean_kernel
-def _fill_slots(handles, given, taken, slots):
+def fill_slots(handles, given, taken, slots):
     """Fill in the slot of each handle, all int64 (n,): (row, why) of the first bad one. why 0 is
     none, 1 an unknown handle, 2 one given before; `taken` is empty where that is allowed.
     """
@@ -508,9 +508,9 @@ def _fill_slots(handles, given, taken, slots):
 
 @functools.cache
 def _slots_entry() -> Callable[..., Any]:
-    """The machine code of `_fill_slots`."""
+    """The machine code of `fill_slots`."""
     numbers = np.empty(0, np.int64)
-    return entry_point(_fill_slots, numbers, numbers, np.empty(0, np.bool_), numbers)
+    return entry_point(fill_slots, numbers, numbers, np.empty(0, np.bool_), numbers)
 
 
 def unknown(handle: Any) -> KeyError:

@@ -12,7 +12,7 @@ from . import checks
 Floats = NDArray[np.float64]
 Levels = int | tuple[int, int] | None
 
-# Told apart by people who see colours differently (Okabe and Ito 2008).
+# Colours that colour-blind people can tell apart (Okabe and Ito 2008).
 PALETTE = np.array(
     [
         (0.34, 0.71, 0.91),

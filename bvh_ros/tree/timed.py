@@ -59,7 +59,7 @@ class Timed(Arrays):
         >>> tree.set_velocities([car], [[-5, 0]])
         >>> tree.raycast([0, 0], [1, 0]).t, tree.raycast([0, 0], [1, 0], at=1.0).t
         (10.0, 5.0)
-        >>> tree.raycast([0, 0], [3, 0], pace=1.0).t  # who drives 3 m/s meets it after 1.25 s
+        >>> tree.raycast([0, 0], [3, 0], pace=1.0).t  # at 3 m/s it is met after 1.25 s
         1.25
         """
         view = self._view()

@@ -31,9 +31,9 @@ def main(commands: TextIO, answers: TextIO) -> NoReturn:
     """Run what comes, a call a line; answer each with a line: why it failed, or nothing."""
     global _here
     _here = True
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for who sent the calls
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the process that sent the calls
     if hasattr(os, 'nice'):
-        os.nice(5)  # who sent them may answer meanwhile
+        os.nice(5)  # the sender may answer queries meanwhile
     calls: Calls = queue.SimpleQueue()
     threading.Thread(target=_listen, args=(commands, calls), daemon=True).start()
     while True:
@@ -41,7 +41,7 @@ def main(commands: TextIO, answers: TextIO) -> NoReturn:
 
 
 def _listen(commands: TextIO, calls: Calls) -> None:
-    """Take calls, and end the process at once when nobody is there any more who sends some."""
+    """Take calls, and end the process as soon as the sender has ended."""
     for line in commands:
         calls.put(line)
     os._exit(0)

@@ -489,9 +489,13 @@ class Motion:
         return tuple.__new__(Moving, parts)
 
     @property
+    def sweep(self) -> Sweep | None:
+        """The swept snapshot that batches of rays go through, if there is one."""
+        return self._cache.sweep
+
+    @property
     def nbytes(self) -> int:
         """Memory of all."""
-        sweep = self._cache.sweep
-        more = 0 if sweep is None else sweep.nbytes
+        more = 0 if self.sweep is None else self.sweep.nbytes
         more += 0 if self.bounds is self.moving else self.bounds.nodes.nbytes
         return self.velocities.nbytes + self.moving.nodes.nbytes + more

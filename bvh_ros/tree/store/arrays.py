@@ -69,7 +69,7 @@ class Arrays:
     # without one, or how often rays visited its loose nodes; the arrays that it was taken of. All
     # are written together.
     _wide: tuple[int, int, Snapshot | None, Tree | None]
-    _room: Room | None  # written to by who has the turn, and by few changes at all
+    _room: Room | None  # written only by the thread whose turn it is, and by few changes
 
     @property
     def ndim(self) -> int:
@@ -251,8 +251,8 @@ class Arrays:
             if room is None or len(room.made) < count:
                 room = spare_room(count)
             done: int = kernel(storage.tree, now, how, change, policy, room)
-            # Who builds a whole tree writes to all of the room: memory that a tree had better not
-            # keep.
+            # A build of a whole tree writes to all of the room: memory that a tree had better
+            # not keep.
             few = 0 < len(rows) <= FEW_ROWS and state.item(REBUILDS) == rebuilds
             self._room = room if few else None
             if not few:
@@ -281,7 +281,7 @@ class Arrays:
         if snapshot is not None and of == written and tree is view.tree and not snapshot.loose:
             return snapshot
         boxes = state.item(COUNT)
-        if tree is not view.tree:  # who still asks outgrown arrays patches nothing of the new ones
+        if tree is not view.tree:  # a query of outgrown arrays patches nothing of the new ones
             of, rays, snapshot = written, 0, None
         if of != written:
             if snapshot is not None:
