@@ -713,6 +713,5 @@ def leave_ray(ray, origin, direction):
     """Leave the ray: `is_better` writes it where it needs it."""
 
 
-_ROW, _ROWS = np.empty(0), np.empty((0, 3))
 NO_FEW = _ROWS, _ROWS, _ROW, np.empty(0, np.uint32)
 few_entry = entry_points(cast_few, no_sweep, NO_FEW, False, CLOSEST, AS_ARRAYS, NO_HITS)

@@ -481,7 +481,6 @@ def boxcast(tree, lo, hi, translation, mask, place):
     return handle, ts[0]
 
 
-_POINT = np.empty(0)
 boxcast_entry = entry_points(boxcast, *(_POINT,) * 3, np.uint32(0), np.empty((0, 3)))
 
 
