@@ -26,7 +26,7 @@ CUBE = Mesh(box_of_triangles((1, 1, 1)))
 # For each method good arguments, of which one at a time is replaced.
 SCENE: dict[str, dict[str, Any]] = {
     '__init__': {'planar': False, 'margin': 0.0, 'max_obstacles': 9, 'categorise': str.__len__,
-                 'meshes': False, 'region': None, 'max_prediction': 9.0,
+                 'meshes': False, 'any_mesh': False, 'region': None, 'max_prediction': 9.0,
                  'uncertainty': 0.0},
     '__contains__': {'name': 'a'},
     'clearance': {'name': 'a', 'signed': True, 'at': 0},

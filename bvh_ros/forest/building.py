@@ -21,7 +21,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ..tree.access import OpenTree, box_checks, checks, mapped
+from ..tree.access import OpenTree, checks, mapped
 
 VERSION = 3
 HEADER, TOP = 'forest.json', 'top.tree'
@@ -106,7 +106,7 @@ def _boxes_of(chunk: Any, ndim: int) -> tuple[Any, Any, Any]:
         if lo.ndim != 2 or lo.shape[1] not in (2, 3):
             raise ValueError(f'lo must have shape (n, 2) or (n, 3), not {lo.shape}')
         ndim = lo.shape[1]
-    low, high = box_checks.boxes(chunk[0], chunk[1], ndim)
+    low, high = checks.boxes(chunk[0], chunk[1], ndim)
     return low, high, checks.masks(chunk[2] if len(chunk) == 3 else 1, len(low))
 
 

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..tree import ALL, RayHits
-from ..tree.access import Floats, Ids, OpenTree, box_checks, checks, mapped
+from ..tree.access import Floats, Ids, OpenTree, checks, mapped
 from . import building, dask_rows, queries
 
 
@@ -234,7 +234,7 @@ class Forest:
                 self.overlap_many, self._ndim, threads, **columns
             )
             return both
-        low, high = box_checks.boxes(lo, hi, self._ndim)
+        low, high = checks.boxes(lo, hi, self._ndim)
         masks = checks.masks(mask, len(low))
         return queries.overlaps(self._asked_by(executor), low, high, masks, threads)
 

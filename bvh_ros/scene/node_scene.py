@@ -3,9 +3,8 @@
 """The scene of a node: other callers need none of this."""
 
 from ..tree.access import checks
-from .delegation import method_of
 from .inspection import Inspection
-from .scene import Scene
+from .scene import Scene, method_of
 from .slicing import SlicedUpdates
 from .store import Obstacles
 from .timed_queries import TimedQueries

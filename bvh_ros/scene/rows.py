@@ -54,7 +54,7 @@ _NO_ROWS = [  # planar or not
 
 
 class Owner(NamedTuple):
-    """Who sends an update, and how the obstacles' owners are known."""
+    """The source of an update, and how the owners of obstacles are known."""
 
     number: int
     of_slot: NDArray[np.int64]

@@ -6,13 +6,14 @@ from __future__ import annotations
 
 import copy
 import math
-from typing import TYPE_CHECKING, Any, NoReturn
+from collections.abc import Callable
+from functools import wraps
+from typing import TYPE_CHECKING, Any, Concatenate, NoReturn, ParamSpec, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from ..tree.access import checks, plotting
-from .delegation import method_of
 from .distance.batch import Clearances, Nearness, Overlaps
 from .distance_queries import DistanceQueries
 from .inspection import Inspection
@@ -28,6 +29,29 @@ from .updates import Categorise, Removals, Updates, as_region
 if TYPE_CHECKING:
     from typing_extensions import Self
 
+
+P = ParamSpec('P')
+R = TypeVar('R')
+
+
+def method_of(
+    part: str, method: Callable[Concatenate[Any, P], R]
+) -> Callable[Concatenate[Any, P], R]:
+    """A part's method as one of the whole; `part` is the attribute that holds the part. Signature
+    and docstring are the part's own.
+
+    While a change is unfinished it raises a RuntimeError; so every method does that needs what the
+    scene holds.
+    """
+
+    @wraps(method)
+    def ask(whole: Any, /, *arguments: P.args, **named: P.kwargs) -> R:
+        whole._store.change.require_none()
+        return method(getattr(whole, part), *arguments, **named)
+
+    return ask
+
+
 FOR_EVER = 1e290  # s: beyond, a time in ns would leave the doubles
 
 
@@ -36,9 +60,9 @@ class Scene(RayQueries, OverlapQueries, DistanceQueries, SweepQueries):
 
     The caller passes all times in; the scene reads no clock. A time (`stamp`, `expires`, `at`,
     `until`, `now`) is an int in nanoseconds or a float in seconds, as of `time.time_ns()` and
-    `time.time()`. Positions are in metres, all in one frame. Any number of threads may ask while
-    none changes the scene: who changes it sees to that. What is asked within a change, or after
-    one that was interrupted, is a RuntimeError.
+    `time.time()`. Positions are in metres, all in one frame. Any number of threads may query the
+    scene while none changes it: that is up to the caller. A query within a change, or after one
+    that was interrupted, is a RuntimeError.
 
     Parameters
     ----------
@@ -58,11 +82,11 @@ class Scene(RayQueries, OverlapQueries, DistanceQueries, SweepQueries):
         The same of meshes that are not convex.
     region : (lo, hi), optional
         Corners of a box, shape (2,) or (3,) as the scene is planar or not; may be infinite. Only
-        obstacles whose bounds touch it are kept: one that leaves it is removed. Who has a velocity
-        is kept if its bounds may touch it within `max_prediction` of its stamp.
+        obstacles whose bounds touch it are kept: one that leaves it is removed. An obstacle with
+        a velocity is kept if its bounds may touch it within `max_prediction` of its stamp.
     max_prediction : float
-        Who has a velocity moves on for so many seconds after its stamp, to the nearest nanosecond,
-        and then stays there.
+        An obstacle with a velocity moves for so many seconds after its stamp, to the nearest
+        nanosecond, and then stays there.
     uncertainty : float
         An obstacle with a velocity other than zero is, at another time than its stamp, so much
         larger all round (m) for each second between. In a planar scene only vx and vy count.
@@ -234,8 +258,8 @@ class Scene(RayQueries, OverlapQueries, DistanceQueries, SweepQueries):
 
     @property
     def interrupted(self) -> bool:
-        """Whether a change was interrupted, by Ctrl-C or want of memory (or is under way, for who
-        asks meanwhile): until `clear` every question and change raises a RuntimeError.
+        """Whether a change was interrupted, by Ctrl-C or want of memory (or is under way in
+        another thread): until `clear` every query and change raises a RuntimeError.
         """
         return self._store.change.unfinished
 

@@ -58,7 +58,7 @@ class SlicedUpdates:
             Number of rows.
         parts : callable
             Makes the parts, of at most so many rows each; the next is made when the one before
-            is applied. Called twice if there may be too many: first to see who is named.
+            is applied. Called twice if there may be too many: first to see the names.
         whole : bool
             `replace`, and not only `update`. Until the last slice the scene holds old and new
             obstacles, so up to twice `max_obstacles`; at the end `max_obstacles` holds.
@@ -117,7 +117,7 @@ class SlicedUpdates:
         return long or (costly and total >= COSTLY_AT_ONCE)
 
     def _survey(self, running: Sliced, parts: Iterator[Part]) -> Iterator[None]:
-        """See who is going to stay, go and come, where not all may come."""
+        """Find the obstacles that will stay, go and come, where not all may come."""
         handles, new = self._members(running.source, running.group), running.new
         named = np.zeros(len(self._store.columns.tree_handle), np.bool_)
         for part in parts:

@@ -58,9 +58,9 @@ Room = TypeVar('Room')
 
 
 class ScratchPool(Generic[Room]):
-    """Rooms that nobody uses. Who asks takes one, and gives it back when all that was written
-    there is read (or loses it to an error, and it is gone). A thread's own would not do: a signal
-    handler, or what collects garbage, asks in the middle of another question of its thread.
+    """A pool of scratch buffers. A query takes one, and gives it back when its results are read;
+    after an error it is lost. A buffer for each thread would not do: a signal handler, or the
+    garbage collector, may query in the middle of another query of its thread.
     """
 
     def __init__(self, make: Callable[[], Room]) -> None:
@@ -69,7 +69,7 @@ class ScratchPool(Generic[Room]):
         self.give = self._free.append
 
     def take(self) -> Room:
-        """A room that is nobody else's."""
+        """A buffer that no other query uses."""
         try:
             return self._free.pop()  # one step: no other thread gets the same
         except IndexError:
@@ -87,7 +87,7 @@ UNFINISHED = (
 class Change:
     """Around whatever is written to tree, columns, names and groups: they agree only at its end.
 
-    Who is interrupted in between (Ctrl-C, MemoryError) leaves it `unfinished`; who asks meanwhile,
+    An interruption in between (Ctrl-C, MemoryError) leaves it `unfinished`. A query meanwhile,
     from a signal handler or another thread, finds it so.
     """
 
@@ -605,7 +605,7 @@ class Obstacles:
         return count
 
     def _forget_all(self) -> None:
-        self.moves = False  # so who moves next begins the tree's time anew
+        self.moves = False  # so the next velocity begins the tree's time anew
         self.tree.clear()
         self.registry.clear()
         self.groups.clear()
@@ -635,7 +635,7 @@ class Movers(NamedTuple):
 
 
 def movers(store: Obstacles) -> Movers:
-    """Who moves now."""
+    """The obstacles that move now."""
     version, known = store.tree.view().version, store.movers
     if known is not None and known.version == version:
         return known

@@ -54,7 +54,7 @@ class Tracks:
     def __init__(self, smoothing: float = 0.3, max_speed: float = 50.0) -> None:
         self._smoothing = checks.limit('smoothing', smoothing)
         self.max_speed = checks.limit('max_speed', max_speed)
-        self._state, self._seen = _room_for(0), 0
+        self._state, self._known = _room_for(0), 0
         self._rows = np.zeros(0, np.int32)
         """By slot: its row in the state, plus 1; 0 if it was never seen. The scene may have far
         more slots than one source.
@@ -86,9 +86,9 @@ class Tracks:
             rows[: len(self._rows)] = self._rows
             self._rows = rows
         fresh = slots[self._rows[slots] == 0]
-        self._rows[fresh] = np.arange(self._seen + 1, self._seen + 1 + len(fresh))
-        self._seen += len(fresh)
-        self._grow(self._seen)
+        self._rows[fresh] = np.arange(self._known + 1, self._known + 1 + len(fresh))
+        self._known += len(fresh)
+        self._grow(self._known)
         return self._rows[slots].astype(np.int64) - 1
 
     def _note(self, known: State, now: Sighting) -> Floats:

@@ -205,7 +205,7 @@ Categorise = Callable[[Families], NDArray[np.uint32]]
 
 @dataclass(eq=False)
 class Sliced:
-    """An update in slices that is under way. Who is meant is known by handles of the tree."""
+    """An update in slices that is under way. Obstacles are known by handles of the tree."""
 
     source: str
     group: str
@@ -214,7 +214,7 @@ class Sliced:
     left: int
     """Rows that are still to come; a replacement keeps room for them."""
     replaced: Slots | None
-    """Who was there when a replacement began: they go unless named. Who comes meanwhile stays."""
+    """Obstacles of when a replacement began: they go unless named. What comes meanwhile stays."""
     stays: int = 0
     """At most so many of these were named so far."""
     surveyed: bool = False
@@ -223,8 +223,8 @@ class Sliced:
     """How many new names each part brings then, the first part last."""
     newest: int = 0
     """Latest stamp of its rows so far, ns: what the scene holds is as new when all are in."""
-    told: list[tuple[Slots, bool]] = field(default_factory=list)
-    """Who was named, in order, and whether they leave the region, and so go."""
+    named: list[tuple[Slots, bool]] = field(default_factory=list)
+    """Obstacles named so far, in order, and whether they leave the region, and so go."""
     shadows: list[Slots] = field(default_factory=list)
 
 
@@ -239,7 +239,7 @@ class Updates:
         self._store = store
         self._categorise = categorise
         self._region = region
-        self.under_way: WeakSet[Sliced] = WeakSet()  # who forgets one has ended it
+        self.under_way: WeakSet[Sliced] = WeakSet()  # forgetting one ends it
 
     def of(self, store: Obstacles) -> 'Updates':
         """The same for other obstacles."""
@@ -347,7 +347,7 @@ class Updates:
             if len(stale):
                 store.drop(stale)
             if sliced:
-                self._note_told(sliced, present, outside)
+                self._note_named(sliced, present, outside)
                 sliced.shadows.append(store.leave_shadows(known))
             store.move(known, source, group)
             store.set_velocities(known.slot, known, speeds)
@@ -370,8 +370,8 @@ class Updates:
         slots = store.registry.find(names)
         groups = store.groups
         # As Owner(...), which would take one more call of a function of Python's.
-        told = groups.source(source), store.columns.source, groups.source_name
-        owner = tuple.__new__(Owner, told)
+        parts = groups.source(source), store.columns.source, groups.source_name
+        owner = tuple.__new__(Owner, parts)
         valid = validate_rows(names, shapes, slots, owner, part[2:5], store.planar)
         return names, slots, valid
 
@@ -398,7 +398,7 @@ class Updates:
         if len(handles):
             still = np.zeros((len(handles), store.tree.ndim))
             store.tree.set_velocities(handles, still, store.tree.velocities(handles)[1])
-            store.moves = False  # so who moves next begins the tree's time anew
+            store.moves = False  # so the next velocity begins the tree's time anew
 
     def require_memory(self, rows: int) -> None:
         """Raise MemoryError now, and not when half of the rows are applied."""
@@ -412,7 +412,7 @@ class Updates:
         goes = np.zeros(len(self._store.columns.tree_handle), np.bool_)
         if running.replaced is not None:
             goes[self._store.still_there(running.replaced)] = True
-        for handles, leave in running.told:
+        for handles, leave in running.named:
             goes[self._store.still_there(handles)] = leave
         return np.flatnonzero(goes)
 
@@ -435,11 +435,11 @@ class Updates:
         room = self._store.most - len(self._store)
         return max(room + sum(len(self.leaving(one)) - max(one.left, 0) for one in others), 0)
 
-    def _note_told(self, sliced: Sliced, present: Slots, outside: Slots) -> None:
+    def _note_named(self, sliced: Sliced, present: Slots, outside: Slots) -> None:
         if sliced.surveyed and self._region is None:
             return
         handles = self._store.columns.tree_handle
-        sliced.told += [(handles[present], False), (handles[outside], True)]
+        sliced.named += [(handles[present], False), (handles[outside], True)]
         sliced.stays += len(present)
 
     def _surely_leaving(self, running: Sliced) -> int:
@@ -508,7 +508,7 @@ class Removals:
         return self.discard(self.find(source, [], {namespace}))
 
     def find(self, source: str, names: Names, namespaces: Collection[str] = ()) -> Slots:
-        """Who of a source has one of these names, or one in these namespaces; for `discard`."""
+        """Obstacles of a source with one of these names or namespaces; for `discard`."""
         text('source', source)
         slots = self._store.registry.find(as_families(names))
         slots = slots[slots != UNKNOWN]
@@ -526,7 +526,7 @@ class Removals:
         return self._store.remove(self._store.still_there(once))
 
     def discard_in_slices(self, found: Slots, besides: Names) -> Iterator[None]:
-        """`discard`, with pauses, those who have none of the names `besides`."""
+        """`discard`, with pauses, obstacles with none of the names `besides`."""
         if not len(found):
             return
         slots = self._store.registry.find(as_families(besides))

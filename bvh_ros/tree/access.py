@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What the rest of the package uses of the tree; all else is private to it."""
 
-from . import box_checks, checks, plotting
+from . import checks, plotting
 from .batch.single import STACK, cast_few, few_entry, next_wide_leaf, push_loose
 from .batch.snapshot import (
     FARTHEST_ORIGIN,
@@ -17,8 +17,18 @@ from .batch.snapshot import (
     start_ray,
 )
 from .batch.streams import FOUND, MIXED, cast_entry, make_scratch, scratch_for, traverse
-from .checks import BOOL, EVERYTHING, FLOAT64, INT64, NOTHING, UINT32
-from .entries import entry_points
+from .checks import (
+    BOOL,
+    EVERYTHING,
+    FIRST_TIME,
+    FLOAT64,
+    INT64,
+    LAST_TIME,
+    NOTHING,
+    UINT32,
+    whole_ns,
+)
+from .dynamic_bvh import OpenTree
 from .moving import LARGEST
 from .nodes import (
     ALL,
@@ -31,13 +41,14 @@ from .nodes import (
     Tree,
     View,
     empty_tree,
+    entry_points,
     leaf_box,
     node_dtype,
     slot_of,
 )
-from .open_tree import OpenTree
 from .plotting import BLOCKED_WAY, CORNERS, EDGES, FREE_WAY, PALETTE, SIDES
-from .query.exact import sign_of_four_products
+from .query.box_queries import boxes_within
+from .query.exact import sign_of_four_products, two_product, two_sum
 from .query.nearest import (
     Near,
     PointQueries,
@@ -80,13 +91,11 @@ from .query.slab import (
     traversal_distance,
 )
 from .query.traversal import Stack, next_leaf, push_root
-from .query.within import boxes_within
 from .results import RayHits, shown_point, shown_rows
 from .simd.int32x8 import AT_ONCE
 from .store import mapped
 from .store.arrays import Floats, Ids
-from .store.memory import copy_bytes, touch
-from .store.storage import inherit_entry
+from .store.storage import copy_bytes, inherit_entry, touch
 from .store.turns import (
     ANY_VERSION,
     IS_CHANGED,
@@ -98,5 +107,3 @@ from .store.turns import (
     end_query,
 )
 from .store.workers import in_threads
-from .time_checks import FIRST_TIME, LAST_TIME, whole_ns
-from .unrounded import two_product, two_sum

@@ -11,10 +11,9 @@ change of one box is refused until `change_many` has seen to it.
 import numpy as np
 
 from .area import tree_cost
+from .build.building import room_to_build
 from .build.rebuilding import build_anew, is_due, is_too_high, look_at_cost, optimize, rebalance
-from .build.room import room_to_build
 from .compiler import inlined, lean_kernel, stack_array
-from .entries import entry_points
 from .insertion import insert_leaf, remove_leaf
 from .moving import (
     LARGEST,
@@ -41,6 +40,7 @@ from .nodes import (
     ROOT,
     SERIAL,
     SLOT_BITS,
+    entry_points,
     find_slot,
     free_leaf,
     note_all_written,
@@ -202,7 +202,7 @@ def set_masks(tree, version, slots, masks):
 def change_many(tree, version, how, change, policy, room):
     """Everything that may build a part of the tree anew: the number of rows that changed it, or
     why not. `how` is INSERT and so on, `change` a `moving.Change`, `policy` a `moving.Policy`;
-    `room` is from `room.room_to_build`.
+    `room` is from `building.room_to_build`.
     """
     nodes, heights, handles, state = tree.nodes, tree.heights, tree.handles, tree.state
     refused = begin_change(state, version)

@@ -5,13 +5,13 @@
 import functools
 import math
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .compiler import kernel
+from .compiler import entry_point, kernel, lean_kernel
 from .nodes import ALL, SLOT_MASK
 
 Floats = NDArray[np.float64]
@@ -179,8 +179,8 @@ def copied_rows(
 def rows(
     name: str, value: ArrayLike, ndim: int, count: int | None = None, planar: bool = False
 ) -> Floats:
-    """As `points`, neither copied nor known to be finite: that is left to who reads them, each
-    row once, and to `finite`.
+    """As `points`, neither copied nor known to be finite: that is left to the kernel that
+    reads each row once, and to `finite`.
     """
     if type(value) is np.ndarray and value.dtype is FLOAT64 and value.ndim == 2:
         many, axes = value.shape
@@ -449,3 +449,247 @@ def whole_or_none(name: str, value: Any, least: int) -> int | None:
 def capacity(name: str, value: Any) -> int:
     """A number of boxes that a tree can hold, and not none."""
     return whole(name, value, 1, SLOT_MASK + 1)
+
+
+# ---- boxes
+
+
+@lean_kernel
+def first_no_box(lo, hi):
+    """The first row of lo and hi, (n, ndim) float64, that is not finite or has lo > hi; else -1"""
+    low, high = lo.reshape(lo.size), hi.reshape(lo.size)
+    # Without a way out of the loop it is one of vectors.
+    good = True
+    for i in range(low.size):
+        good &= (-np.inf < low[i]) & (low[i] <= high[i]) & (high[i] < np.inf)
+    if good:
+        return -1
+    for i in range(lo.shape[0]):
+        for j in range(lo.shape[1]):
+            if not (-np.inf < lo[i, j] <= hi[i, j] < np.inf):
+                return i
+    return -1
+
+
+@functools.cache
+def _first_entry() -> Callable[..., Any]:
+    """The machine code of `first_no_box`."""
+    return entry_point(first_no_box, np.empty((0, 3)), np.empty((0, 3)))
+
+
+def boxes(
+    lo: ArrayLike, hi: ArrayLike, ndim: int, count: int | None = None
+) -> tuple[Floats, Floats]:
+    """Rows of boxes: finite, lo <= hi on every axis."""
+    low = copied_rows('lo', lo, ndim, count)
+    high = copied_rows('hi', hi, ndim, len(low))
+    row = _first_entry()(low, high)
+    if row >= 0:
+        finite('lo', low)
+        finite('hi', high)
+        raise ValueError(
+            f'lo must not exceed hi: row {row} has lo {low[row].tolist()} '
+            f'and hi {high[row].tolist()}'
+        )
+    return low, high
+
+
+def box(lo: ArrayLike, hi: ArrayLike, ndim: int) -> tuple[Floats, Floats]:
+    """One box: finite, lo <= hi on every axis."""
+    low, high = point('lo', lo, ndim), point('hi', hi, ndim)
+    if not (low <= high).all():
+        raise ValueError(f'lo must not exceed hi: lo is {low.tolist()} and hi is {high.tolist()}')
+    return low, high
+
+
+def is_pair(value: Any) -> bool:
+    """Whether it may be a box, as (lo, hi), rather than a point."""
+    if type(value) is np.ndarray:
+        return value.ndim == 2
+    return (
+        type(value) in (list, tuple)
+        and len(value) == 2
+        and (type(value[0]) in (list, tuple) or getattr(value[0], 'ndim', 0) == 1)
+    )
+
+
+def pair(name: str, value: ArrayLike, ndim: int) -> tuple[Floats, Floats]:
+    """A box as (lo, hi), finite, lo <= hi."""
+    array = unless_refused(name, value, (2, ndim))
+    if array.shape != (2, ndim):
+        raise ValueError(f'{name} must have shape ({ndim},) or (2, {ndim}), not {array.shape}')
+    finite(name, array)
+    low, high = array
+    if not (low <= high).all():
+        raise ValueError(f'{name} must not have lo {low.tolist()} beyond hi {high.tolist()}')
+    return low, high
+
+
+def few_enough(lo: ArrayLike) -> None:
+    """Refuse more boxes than a tree can hold, before they are copied."""
+    if isinstance(lo, np.ndarray) and lo.ndim > 1 and len(lo) > SLOT_MASK:
+        capacity('the number of rows of lo', max(len(lo), 1))
+
+
+def no_box(lo: ArrayLike, hi: ArrayLike, ndim: int) -> ValueError:
+    """What is raised where a kernel says that these are no box."""
+    box(lo, hi, ndim)
+    return were_changed()
+
+
+def were_changed() -> ValueError:
+    """What is raised where a kernel was given other numbers than are there now."""
+    return ValueError('lo and hi were changed while they were read')
+
+
+# ---- handles: whether they name boxes of a tree
+
+
+LAST_INT64 = (1 << 63) - 1
+
+
+@lean_kernel
+def fill_slots(handles, given, taken, slots):
+    """Fill in the slot of each handle, all int64 (n,): (row, why) of the first bad one. why 0 is
+    none, 1 an unknown handle, 2 one given before; `taken` is empty where that is allowed.
+    """
+    for i in range(given.shape[0]):
+        number = given[i]
+        slot = number & SLOT_MASK
+        if number < 0 or slot >= handles.shape[0] or handles[slot] != number:
+            return i, 1
+        if taken.shape[0] > 0:
+            if taken[slot]:
+                return i, 2
+            taken[slot] = True
+        slots[i] = slot
+    return -1, 0
+
+
+@functools.cache
+def _slots_entry() -> Callable[..., Any]:
+    """The machine code of `fill_slots`."""
+    numbers = np.empty(0, np.int64)
+    return entry_point(fill_slots, numbers, numbers, np.empty(0, np.bool_), numbers)
+
+
+def unknown(handle: Any) -> KeyError:
+    """What is raised where a handle names no box."""
+    return KeyError(f'handle {shown_short(handle)} names no box of this tree')
+
+
+def handle(value: Any) -> int:
+    """What may be a handle, else KeyError; what is no integer is none."""
+    if type(value) is not int and (isinstance(value, bool) or not is_integer(value)):
+        raise unknown(value)
+    if 0 <= value <= LAST_INT64:
+        return int(value)
+    raise unknown(value)
+
+
+def slots_of(handles: NDArray[np.int64], given: ArrayLike, once: bool = True) -> NDArray[np.int64]:
+    """Slots of live handles; KeyError names the first unknown one, ValueError the first double one
+    (with `once`).
+    """
+    given_handles = numbers('handles', given)
+    slots = np.empty(len(given_handles), INT64)
+    taken = np.zeros(len(handles) if once else 0, np.bool_)
+    row, why = _slots_entry()(handles, given_handles, taken, slots)
+    if why == 0:
+        return slots
+    number = np.asarray(given)[row]
+    if why == 1:
+        raise KeyError(f'handle {number} in row {row} names no box of this tree')
+    raise ValueError(f'handles must be given once each: row {row} repeats {number}')
+
+
+def array_of(name: str, given: ArrayLike) -> NDArray[Any]:
+    """What is given, as an array of any type."""
+    try:
+        array = np.asarray(given)
+        refuse_masked(given, array)
+    except FOREIGN as error:
+        raise ValueError(f'{name} must be integers of shape (n,): {error}') from None
+    return array
+
+
+def numbers(name: str, given: ArrayLike) -> NDArray[np.int64]:
+    """Handles as the kernel takes them: the caller's memory where that is of this array type."""
+    if type(given) is np.ndarray and given.dtype is INT64 and given.ndim == 1:
+        return given if given.flags.carray else given.copy()
+    array = array_of(name, given)
+    if array.shape == (0,):
+        return np.empty(0, np.int64)
+    if array.ndim != 1 or array.dtype.kind not in 'iu':
+        raise ValueError(
+            f'{name} must be integers of shape (n,), not {array.dtype} of shape {array.shape}'
+        )
+    return array.astype(np.int64)
+
+
+# ---- times: a moment is a float in seconds or an integer in nanoseconds, as of `time.time()` and
+# `time.time_ns()`; a pace is in seconds, of whatever type
+
+
+FIRST_TIME, LAST_TIME = -(1 << 63), (1 << 63) - 1  # what a time in ns can be
+
+
+def whole_ns(name: str, seconds: Floats) -> NDArray[np.int64]:
+    """Times in s as the nearest whole ns."""
+    last = LAST_TIME // 10**9
+    if not (np.abs(seconds) <= last).all():
+        raise ValueError(f'{name} must be finite, and at most {last} s')
+    # Of a shorter type the product would be rounded to that type.
+    seconds = seconds.astype(np.promote_types(seconds.dtype, np.float64))
+    whole = np.floor(seconds)  # the rest is exact, and so small that its product is rounded once
+    rest = np.rint((seconds - whole) * 1e9).astype(np.int64)
+    return np.asarray(whole.astype(np.int64) * 10**9 + rest)
+
+
+def _in_seconds(name: str, value: Any, shape: tuple[int, ...]) -> Floats:
+    """As `unless_refused`, with integers of a moment brought to seconds."""
+    array = unless_refused(name, value, shape)
+    if name != 'pace' and array.shape in ((), shape):
+        given = np.asarray(value)
+        if given.dtype.kind in 'iu':
+            return np.asarray(given.astype(np.longdouble) / 10**9, np.float64)
+    return array
+
+
+def moment(name: str, value: Any) -> float:
+    """One finite number."""
+    number = value if type(value) is float else one(name, _in_seconds(name, value, ()))
+    if not math.isfinite(number):
+        raise ValueError(f'{name} must be finite, not {number}')
+    return number
+
+
+def times(name: str, value: Any, count: int) -> Floats:
+    """As `moments`, but not known to be finite, and the caller's memory where that is of the same
+    array type: for kernels that read it and see to that. With no row they see nothing.
+    """
+    if type(value) is float and count:
+        return only(value)
+    if (
+        type(value) is np.ndarray
+        and value.dtype is FLOAT64
+        and value.shape == (count,)
+        and value.flags.carray
+    ):
+        return value
+    return moments(name, value, count)
+
+
+def moments(name: str, value: ArrayLike, count: int | None) -> Floats:
+    """One for all as shape (1,), or shape (count,); finite. `count` None: only one."""
+    if count is None or type(value) is float:
+        return np.array([moment(name, value)])
+    array = _in_seconds(name, value, (count,))
+    if array.ndim == 0:
+        return np.array([moment(name, array[()])])
+    if array.shape != (count,):
+        raise ValueError(f'{name} must be a number or have shape ({count},), not {array.shape}')
+    if first_not_finite(array[None]) >= 0:
+        bad = np.flatnonzero(~np.isfinite(array))
+        raise ValueError(f'{name} must be finite: row {bad[0]} is {array[bad[0]]}')
+    return array

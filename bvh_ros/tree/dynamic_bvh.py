@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from . import box_checks, changing, checks, handle_checks, plotting
+from . import changing, checks, plotting
 from .nodes import View
 from .query.box_queries import BoxQueries
 from .query.ray_queries import RayQueries
@@ -24,6 +24,8 @@ from .store.turns import accepted
 
 if TYPE_CHECKING:
     from typing_extensions import Self
+
+    from .motion.queries import MotionQueries
 
 STILL = np.zeros(3)  # a displacement
 SEARCHES = ('greedy', 'branch_and_bound')
@@ -116,7 +118,7 @@ class DynamicBVH(RayQueries, BoxQueries):
         order. A subclass whose `__init__` takes other arguments than this class' is made without
         it.
         """
-        box_checks.few_enough(lo)
+        checks.few_enough(lo)
         refused = isinstance(lo, np.ndarray) and lo.shape[1:] not in ((2,), (3,))
         low = np.asarray(lo) if refused else checks.floats('lo', lo)
         if low.ndim != 2 or low.shape[1] not in (2, 3):
@@ -161,7 +163,7 @@ class DynamicBVH(RayQueries, BoxQueries):
         if handle >= 0:
             return handle
         if handle == changing.NO_BOX:
-            raise box_checks.no_box(low, high, ndim)
+            raise checks.no_box(low, high, ndim)
         self._settle_soon()
         return -handle
 
@@ -171,8 +173,8 @@ class DynamicBVH(RayQueries, BoxQueries):
         `mask` is one for all or of shape (n,); None is 1 for all. As many as the tree holds
         already, or more, and it is built anew.
         """
-        box_checks.few_enough(lo)
-        low, high = box_checks.boxes(lo, hi, self.ndim)
+        checks.few_enough(lo)
+        low, high = checks.boxes(lo, hi, self.ndim)
         masks = checks.masks(1 if mask is None else mask, len(low))
         new = np.empty(len(low), np.int64)
         self._change_many(changing.INSERT, new, (low, high, low), masks)
@@ -180,10 +182,10 @@ class DynamicBVH(RayQueries, BoxQueries):
 
     def remove(self, handle: int) -> None:
         """Remove a box. KeyError if the handle names none."""
-        number = handle_checks.handle(handle)
+        number = checks.handle(handle)
         done = self._change(changing.remove_entry(self._ndim), number)
         if done == changing.UNKNOWN:
-            raise handle_checks.unknown(handle)
+            raise checks.unknown(handle)
         if done > 1:
             self._settle_soon()
 
@@ -192,7 +194,7 @@ class DynamicBVH(RayQueries, BoxQueries):
         none.
         """
         tree, version = self._view()
-        slots = handle_checks.slots_of(tree.handles, handles)
+        slots = checks.slots_of(tree.handles, handles)
         self._change_many(changing.REMOVE, slots, version=version)
 
     def clear(self) -> None:
@@ -208,7 +210,7 @@ class DynamicBVH(RayQueries, BoxQueries):
         `displacement`, shape (ndim,), is where the box is expected to be next, relative to now:
         its fat box then reaches there. KeyError if the handle names no box.
         """
-        number, ndim, ahead = handle_checks.handle(handle), self._ndim, STILL
+        number, ndim, ahead = checks.handle(handle), self._ndim, STILL
         low, high = checks.vector('lo', lo, ndim), checks.vector('hi', hi, ndim)
         if displacement is not None:
             there = checks.point('displacement', displacement, ndim)
@@ -216,9 +218,9 @@ class DynamicBVH(RayQueries, BoxQueries):
         arguments = number, low, high, self._margin, ahead, self._thorough
         changed = self._change(changing.move_entry(ndim), *arguments)
         if changed == changing.UNKNOWN:
-            raise handle_checks.unknown(handle)
+            raise checks.unknown(handle)
         if changed == changing.NO_BOX:
-            raise box_checks.no_box(low, high, ndim)
+            raise checks.no_box(low, high, ndim)
         if changed > 1:
             self._settle_soon()
         return changed > 0
@@ -238,8 +240,8 @@ class DynamicBVH(RayQueries, BoxQueries):
         given twice (ValueError), none.
         """
         tree, version = self._view()
-        slots = handle_checks.slots_of(tree.handles, handles)
-        low, high = box_checks.boxes(lo, hi, self.ndim, len(slots))
+        slots = checks.slots_of(tree.handles, handles)
+        low, high = checks.boxes(lo, hi, self.ndim, len(slots))
         boxes = low, high, self._ahead(displacement, len(slots))
         return self._change_many(changing.MOVE, slots, boxes, version=version, shares=SHARES)
 
@@ -267,7 +269,7 @@ class DynamicBVH(RayQueries, BoxQueries):
     def set_masks(self, handles: ArrayLike, mask: ArrayLike) -> None:
         """Give boxes new masks: one for all or of shape (n,). Errors as `remove_many`."""
         tree, version = self._view()
-        slots = handle_checks.slots_of(tree.handles, handles)
+        slots = checks.slots_of(tree.handles, handles)
         masks = checks.masks(mask, len(slots))
         self._change(changing.masks_entry(self._ndim), version, slots, masks)
 
@@ -370,3 +372,32 @@ class DynamicBVH(RayQueries, BoxQueries):
         fresh = type(self).__new__(type(self))
         files.unpack(fresh, state)
         vars(self).update({**added, **vars(fresh)})  # at once: it is this tree, or as it was
+
+
+class OpenTree(DynamicBVH):
+    """A tree whose arrays, slots and steps other rooms of the package use; its callers need none
+    of this.
+    """
+
+    arrays = DynamicBVH._arrays
+    slots = DynamicBVH._slots
+    view = DynamicBVH._view
+    latest = DynamicBVH._latest
+    check_unchanged = DynamicBVH._check_unchanged
+    snapshot_for = DynamicBVH._snapshot_for
+    ready_snapshot = DynamicBVH._ready_snapshot
+    few_rays = DynamicBVH._few_rays
+    first_hits = DynamicBVH._first_hits
+    move_sound = DynamicBVH._move_sound
+    count_nanoseconds = DynamicBVH._count_nanoseconds
+    room_for = DynamicBVH._room_for
+    move_into = DynamicBVH._move_into
+    room_for_copy = DynamicBVH._room_for_copy
+    copied = DynamicBVH._copied
+    validate_copy = DynamicBVH._validate_copy
+    figures = DynamicBVH._figures
+
+    @property
+    def motion(self) -> MotionQueries | None:
+        """What is asked of moving boxes; None where no box ever had a velocity."""
+        return self._motion

@@ -8,10 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from . import checks, handle_checks, validation
+from . import checks, validation
 from .area import cost_now
 from .compiler.kernel_cache import cache_folder
-from .entries import entry_points
 from .nodes import (
     BUILT_COST,
     COUNTERS,
@@ -23,10 +22,10 @@ from .nodes import (
     STATE_PLACES,
     WRITTEN,
     Tree,
+    entry_points,
 )
 from .store.arrays import Floats, Ids, touched
-from .store.memory import copy_bytes
-from .store.storage import Storage
+from .store.storage import Storage, copy_bytes
 from .store.turns import IS_CHANGED
 from .timed import Timed
 
@@ -60,7 +59,7 @@ class Introspection(Timed):
         """
         view = self._view()
         nodes, tight = view.tree.nodes, view.tree.tight
-        slots = handle_checks.slots_of(view.tree.handles, handles, once=False)
+        slots = checks.slots_of(view.tree.handles, handles, once=False)
         records = tight[slots] if len(tight) else nodes[2 * slots]
         self._check_unchanged(view)
         return records['lo'].reshape(-1, self.ndim).copy(), records['hi'].reshape(
@@ -70,7 +69,7 @@ class Introspection(Timed):
     def masks(self, handles: ArrayLike) -> NDArray[np.uint32]:
         """Masks of the handles, shape (n,). KeyError if one names no box."""
         view = self._view()
-        slots = handle_checks.slots_of(view.tree.handles, handles, once=False)
+        slots = checks.slots_of(view.tree.handles, handles, once=False)
         masks = np.array(view.tree.nodes['mask'][2 * slots], np.uint32)
         self._check_unchanged(view)
         return masks

@@ -8,7 +8,7 @@ that. While the exact box stays in it the tree has nothing to do. A fat box far 
 one would be (five margins, five displacements) is replaced, so that a box that was large or fast
 for one tick does not stay large.
 
-These are parts of `changing.change_many`; `room` is from `room.room_to_build`.
+These are parts of `changing.change_many`; `room` is from `building.room_to_build`.
 """
 
 from typing import NamedTuple

@@ -15,12 +15,13 @@ A node is 64 bytes in 3D: one cache line. Free places form two lists, linked thr
 
 import functools
 import math
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from .compiler import inlined, lean_kernel
+from .compiler import entry_point, inlined, lean_kernel
 
 NONE = -1
 ALL = 0xFFFFFFFF  # the query mask that sees every box
@@ -270,3 +271,23 @@ def refit_node(nodes, heights, node):
         here.lo[axis] = lo
         here.hi[axis] = hi
     return changed
+
+
+# ---- how Python calls the kernels of a tree: as machine code, see `compiling.entry_point`
+
+
+def entry_points(
+    kernel: Any, *arguments: Any, alongside: Callable[[int], object] | None = None
+) -> Callable[[int], Callable[..., Any]]:
+    """Return what gives, for a number of dimensions, the `entry_point` of a kernel of a tree and
+    arguments of these types; compiled or loaded at its first use. An argument whose type depends
+    on that number is a function of it. `alongside` takes it, too, see `entry_point`.
+    """
+
+    @functools.cache
+    def of_dimensions(ndim: int) -> Callable[..., Any]:
+        others = (argument(ndim) if callable(argument) else argument for argument in arguments)
+        next_one = None if alongside is None else functools.partial(alongside, ndim)
+        return entry_point(kernel, empty_tree(ndim), *others, alongside=next_one)
+
+    return of_dimensions

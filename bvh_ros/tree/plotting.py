@@ -13,7 +13,7 @@ from . import checks
 Floats = NDArray[np.float64]
 Levels = int | tuple[int, int] | None
 
-# Told apart by people who see colours differently (Okabe and Ito 2008; the last one is ours).
+# Colours that colour-blind people can tell apart (Okabe and Ito 2008; the last one is ours).
 # Rays have two other colours.
 PALETTE = np.array(
     [

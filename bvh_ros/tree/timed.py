@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Optional
 import numpy as np
 from numpy.typing import ArrayLike
 
-from . import checks, handle_checks, time_checks
+from . import checks
 from .nodes import View
 from .store.arrays import Arrays, Floats, Ids
 
@@ -59,13 +59,13 @@ class Timed(Arrays):
         >>> tree.set_velocities([car], [[-5, 0]])
         >>> tree.raycast([0, 0], [1, 0]).t, tree.raycast([0, 0], [1, 0], at=1.0).t
         (10.0, 5.0)
-        >>> tree.raycast([0, 0], [3, 0], pace=1.0).t  # who drives 3 m/s meets it after 1.25 s
+        >>> tree.raycast([0, 0], [3, 0], pace=1.0).t  # at 3 m/s it is met after 1.25 s
         1.25
         """
         view = self._view()
-        slots = handle_checks.slots_of(view.tree.handles, handles)
+        slots = checks.slots_of(view.tree.handles, handles)
         rows = checks.points('velocities', velocities, self.ndim, len(slots))
-        times = time_checks.moments('reference', reference, len(slots))
+        times = checks.moments('reference', reference, len(slots))
         if self._motion is None:
             from .motion.queries import MotionQueries
 
@@ -90,7 +90,7 @@ class Timed(Arrays):
         KeyError if a handle names no box.
         """
         view = self._view()
-        slots = handle_checks.slots_of(view.tree.handles, handles, once=False)
+        slots = checks.slots_of(view.tree.handles, handles, once=False)
         result = np.zeros((len(slots), self.ndim)), np.zeros(len(slots))
         if self._motion is not None:
             result = self._motion.velocities_of(view.tree.handles, slots)
@@ -119,6 +119,6 @@ class Timed(Arrays):
                 raise ValueError('pace needs at, which is None')
             return None
         if self._motion is None and not at is pace is NOW:
-            time_checks.moments('at', at, count)
-            time_checks.moments('pace', pace, count)
+            checks.moments('at', at, count)
+            checks.moments('pace', pace, count)
         return self._motion

@@ -18,6 +18,7 @@ from odd_files import WITH_TESTS
 
 from bvh_ros import DynamicBVH
 from bvh_ros.forest import Forest, building, queries
+from bvh_ros.tree.access import OpenTree
 
 COUNT, ASKED = 3000, 1500
 
@@ -115,9 +116,9 @@ def test_parts_hold_each_box_once_and_no_more_than_asked(tmp_path):
     forest = planted(tmp_path / 'forest', lo, hi, np.ones(COUNT, np.uint32), 170)
     ids, volumes = [], []
     for number in range(forest.parts):
-        tree = DynamicBVH.load(building.part_file(tmp_path / 'forest', number))
+        tree = OpenTree.load(building.part_file(tmp_path / 'forest', number))
         tree.validate()
-        its = np.load(building.ids_file(tmp_path / 'forest', number))[tree._slots(tree.ids())]
+        its = np.load(building.ids_file(tmp_path / 'forest', number))[tree.slots(tree.ids())]
         assert len(tree) == len(its) <= 170
         assert (np.diff(its) > 0).all()
         np.testing.assert_array_equal(tree.boxes(tree.ids())[0], lo[its])

@@ -20,9 +20,9 @@ WRITE = 'import os; open({!r}, "a").write(f"{{os.getpid()}} ")'
 @pytest.fixture(autouse=True)
 def cache(tmp_path, monkeypatch):
     monkeypatch.setenv('NUMBA_CACHE_DIR', str(tmp_path / 'cache'))
-    kernel_cache._find_folder.cache_clear()
+    kernel_cache.find_folder.cache_clear()
     yield tmp_path
-    kernel_cache._find_folder.cache_clear()
+    kernel_cache.find_folder.cache_clear()
 
 
 def job(folder, name, *, early=False, seconds=10.0):
@@ -89,7 +89,7 @@ def test_progress_is_what_the_processor_has_done():
 
 def test_where_nothing_can_be_kept_all_is_run_here(tmp_path, recwarn):
     (tmp_path / 'cache').write_text('')  # no folder
-    kernel_cache._find_folder.cache_clear()
+    kernel_cache.find_folder.cache_clear()
     assert not kernel_cache.is_first_use()
     assert [*finish(Compilation([job(tmp_path, 'one'), job(tmp_path, 'two')]))]
     assert processes(tmp_path, 'one') == processes(tmp_path, 'two') == [os.getpid()]
@@ -107,18 +107,16 @@ def test_what_fails_elsewhere_is_tried_here_and_what_fails_here_says_why(tmp_pat
 
 
 def test_jobs_of_other_configurations_are_other_ones():
-    needs = Needs(planar=False, margin=0.0, kinds=[ShapeKind.BOX], batch=True)
-    keys = {job.key for job in jobs(needs)}
-    assert keys == {job.key for job in jobs(needs._replace(kinds=(ShapeKind.BOX,)))}
-    assert keys > {job.key for job in jobs(needs._replace(batch=False))}
-    for other in (
-        needs._replace(planar=True),
-        needs._replace(margin=0.1),
-        needs._replace(kinds=[ShapeKind.BOX, ShapeKind.MESH]),
-    ):
-        assert not keys & {job.key for job in jobs(other)}
-    some, more = needs._replace(margin=0.1), needs._replace(margin=0.2)
-    assert [job.key for job in jobs(some)] == [job.key for job in jobs(more)]
+    def keys_of(**others):
+        usual = {'planar': False, 'margin': 0.0, 'kinds': [ShapeKind.BOX], 'batch': True}
+        return [job.key for job in jobs(Needs(**{**usual, **others}))]
+
+    keys = keys_of()
+    assert {*keys} == {*keys_of(kinds=(ShapeKind.BOX,))}
+    assert {*keys} > {*keys_of(batch=False)}
+    for other in ({'planar': True}, {'margin': 0.1}, {'kinds': [ShapeKind.BOX, ShapeKind.MESH]}):
+        assert not {*keys} & {*keys_of(**other)}
+    assert keys_of(margin=0.1) == keys_of(margin=0.2)
 
 
 def test_people_see_a_bar_on_a_terminal_and_few_lines_elsewhere(tmp_path):

@@ -14,6 +14,12 @@ from bvh_ros.scene import Families, Mesh, NodeScene, Numbered, Part, ShapeKind, 
 
 CUBE = Mesh(box_of_triangles((1, 1, 1)))
 BOX = Shapes.boxes([[0, 0, 0]], [1, 1, 1])
+
+
+def changed(**columns):
+    return BOX._replace(**columns)
+
+
 MASKED = np.ma.masked_array([[0.0, 0.0, 0.0]], [[True, False, False]])
 NOT_ONE = [None, 'x', b'x', 1.5, float('nan'), float('inf'), True, 10**400, -(10**400), 2**63, 1j]
 NOT_ONE += [[1, 2], [[1]], [1.5], ['a'], {}, object(), np.ma.masked_array([1], [True])]
@@ -28,37 +34,27 @@ NOT_NAMES += [Numbered('a', np.ma.masked_array([1], [True])), ['a', 'b']]
 NOT_NAMES += [Families(['a'], np.array(f), np.array([1])) for f in ([1], [-1], [0.5], [0, 0], 0)]
 NOT_NAMES += [Families([None], np.array([0]), np.array([1]))]
 NOT_KINDS = [[0.0], [True], ['BOX'], 0, [[0]], [0, 0], [None], np.ma.masked_array([0], [True])]
-NOT_SHAPES = [
-    None,
-    5,
-    tuple(BOX),
-    [BOX],
-    BOX._replace(mesh=3),
-    BOX._replace(mesh=np.empty(2, object)),
-]
-NOT_SHAPES += [BOX._replace(kind=kind) for kind in NOT_KINDS]
-NOT_SHAPES += [BOX._replace(**{name: bad}) for name in ('position', 'size') for bad in NOT_POINTS]
-NOT_SHAPES += [BOX._replace(orientation=bad) for bad in (*NOT_POINTS[:5], [[0, 0, 0]], 0)]
+NOT_SHAPES = [None, 5, tuple(BOX), [BOX], changed(mesh=3), changed(mesh=np.empty(2, object))]
+NOT_SHAPES += [changed(kind=kind) for kind in NOT_KINDS]
+NOT_SHAPES += [changed(**{name: bad}) for name in ('position', 'size') for bad in NOT_POINTS]
+NOT_SHAPES += [changed(orientation=bad) for bad in (*NOT_POINTS[:5], [[0, 0, 0]], 0)]
 ROUND = {ShapeKind.SPHERE: (1, 1, 2), ShapeKind.CYLINDER: (1, 2, 1), ShapeKind.CAPSULE: (2, 2, 1)}
-BAD_ROWS = [BOX._replace(kind=np.array([kind])) for kind in (-1, 5, 255, 256, 2**40)]
-BAD_ROWS += [BOX._replace(kind=np.array([2**64 - 1], np.uint64))]
+BAD_ROWS = [changed(kind=np.array([kind])) for kind in (-1, 5, 255, 256, 2**40)]
+BAD_ROWS += [changed(kind=np.array([2**64 - 1], np.uint64))]
 BAD_ROWS += [
-    BOX._replace(**{name: np.array([[bad] + [0.5] * more])})
+    changed(**{name: np.array([[bad] + [0.5] * more])})
     for name, more in (('position', 2), ('orientation', 3), ('size', 2))
     for bad in (np.nan, np.inf, -np.inf)
 ]
+BAD_ROWS += [changed(size=np.array([[-1.0, 1, 1]])), changed(size=np.full((1, 3), 1e309))]
+BAD_ROWS += [changed(position=np.full((1, 3), 1.7e308), size=np.full((1, 3), 1.7e308))]
 BAD_ROWS += [
-    BOX._replace(size=np.array([[-1.0, 1, 1]])),
-    BOX._replace(size=np.full((1, 3), 1e309)),
-]
-BAD_ROWS += [BOX._replace(position=np.full((1, 3), 1.7e308), size=np.full((1, 3), 1.7e308))]
-BAD_ROWS += [
-    BOX._replace(kind=np.array([kind]), size=np.array([size], float))
+    changed(kind=np.array([kind]), size=np.array([size], float))
     for kind, odd in ROUND.items()
     for size in (odd, (0, 0, 0), (1, 1, 0), (-1, -1, -1))
 ]
 BAD_ROWS += [
-    BOX._replace(kind=np.array([ShapeKind.MESH]), mesh=mesh)
+    changed(kind=np.array([ShapeKind.MESH]), mesh=mesh)
     for mesh in (None, *(np.array([x, 0], object)[:1] for x in (None, 'x', 7)))
 ]
 BAD_ROWS += [Shapes.of_meshes([CUBE], [[0, 0, 0]])._replace(size=np.full((1, 3), 2.0))]

@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 from tree.reference import Floats
 
+from bvh_ros.tree.access import OpenTree
 from bvh_ros.tree.insertion import MOST_TRIES, branch_and_bound_sibling, greedy_sibling
 from bvh_ros.tree.nodes import FREE_LEAF, ROOT, is_leaf
-from bvh_ros.tree.open_tree import OpenTree
 
 SEARCHES = ['greedy', 'branch_and_bound']
 

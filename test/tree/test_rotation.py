@@ -7,6 +7,7 @@ cost.
 import numpy as np
 import pytest
 
+from bvh_ros.tree.access import OpenTree
 from bvh_ros.tree.nodes import (
     HIGHEST,
     NONE,
@@ -18,7 +19,6 @@ from bvh_ros.tree.nodes import (
     take_inner,
     take_leaf,
 )
-from bvh_ros.tree.open_tree import OpenTree
 from bvh_ros.tree.rotation import rotate
 
 Shape = int | tuple['Shape', 'Shape']  # a row of boxes, or two subtrees

@@ -103,6 +103,9 @@ class TreeMachine(RuleBasedStateMachine):
             self.model[handle] = Box(list(low), list(high), int(mask), [0.0] * self.tree.ndim)
             self.newest = handle
 
+    def change(self, handle: int, **fields: Any) -> None:
+        self.model[handle] = self.model[handle]._replace(**fields)
+
     def forget(self, handles: list[int]) -> None:
         for handle in handles:
             del self.model[handle]
@@ -135,7 +138,7 @@ class TreeMachine(RuleBasedStateMachine):
         assert isinstance(changed, bool)
         if self.tree.margin == 0.0 and not self.tree.stats()['exact_boxes_beside_nodes']:
             assert changed != same
-        self.model[handle] = self.model[handle]._replace(lo=lo, hi=hi)
+        self.change(handle, lo=lo, hi=hi)
 
     @precondition(lambda self: self.model)
     @rule(data=st.data(), seed=SEEDS, ahead=st.booleans(), small=st.booleans())
@@ -148,7 +151,7 @@ class TreeMachine(RuleBasedStateMachine):
         count = self.tree.move_many(handles, lo, hi, displacement)
         assert 0 <= count <= len(handles)
         for handle, low, high in zip(handles, lo.tolist(), hi.tolist(), strict=True):
-            self.model[handle] = self.model[handle]._replace(lo=low, hi=high)
+            self.change(handle, lo=low, hi=high)
 
     @precondition(lambda self: self.model)
     @rule(data=st.data())
@@ -170,7 +173,7 @@ class TreeMachine(RuleBasedStateMachine):
         handles = self.some_handles(data)
         self.tree.set_masks(handles, mask)
         for handle in handles:
-            self.model[handle] = self.model[handle]._replace(mask=mask)
+            self.change(handle, mask=mask)
 
     @precondition(lambda self: self.moving and self.model)
     @rule(data=st.data())
@@ -181,7 +184,7 @@ class TreeMachine(RuleBasedStateMachine):
         times = [data.draw(TIMES) for _ in handles]
         self.tree.set_velocities(handles, np.array(rows).reshape(-1, ndim), np.array(times))
         for handle, velocity, time in zip(handles, rows, times, strict=True):
-            self.model[handle] = self.model[handle]._replace(velocity=velocity, reference=time)
+            self.change(handle, velocity=velocity, reference=time)
 
     @rule(how=st.sampled_from(['rebuild', 'optimize']))
     def improve(self, how: str) -> None:

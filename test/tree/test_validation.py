@@ -7,8 +7,8 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
+from bvh_ros.tree.access import OpenTree
 from bvh_ros.tree.nodes import COUNT, FREE_INNER, FREE_LEAF, NONE, ROOT, SLOT_BITS, is_leaf
-from bvh_ros.tree.open_tree import OpenTree
 
 
 def some_tree(ndim: int) -> OpenTree:

@@ -11,8 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..compiler import WIDTH, bits_of, inlined, lean_kernel, stack_array, trailing_zeros
-from ..entries import entry_points
-from ..nodes import NONE
+from ..nodes import NONE, entry_points
 from ..query.ray import ANY, NO_HITS, NO_RAYS, Found, Rays, of_row, raycast_row
 from ..query.slab import EXACT, INSIDE, RAY_ROWS
 from ..simd.float32x16 import seen16, stream16

@@ -29,7 +29,6 @@ from ..area import longest_edge, node_area, unit_scale
 from ..build.building import post_order
 from ..build.rebuilding import count_leaves
 from ..compiler import WIDTH, inlined, lean_kernel, stack_array
-from ..entries import entry_points
 from ..nodes import (
     COUNT,
     DEEPEST,
@@ -39,6 +38,7 @@ from ..nodes import (
     ROOT,
     WRITTEN,
     View,
+    entry_points,
     is_leaf,
     next_node,
 )

@@ -20,8 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..compiler import WIDTH, inlined, lean_kernel, prefetch, stack_array, trailing_zeros
-from ..entries import entry_points
-from ..nodes import ALL, NONE, aligned_empty, leaf_box
+from ..nodes import ALL, NONE, aligned_empty, entry_points, leaf_box
 from ..query.ray import ANY, NO_HITS, NO_RAYS, Found, Hit, is_before, of_row, raycast_row
 from ..query.slab import (
     DIRECTION,

@@ -27,7 +27,6 @@ from ..compiler import (
     stack_array,
     swap8,
 )
-from ..simd.box_rows import SIDES, UNITS, enclose, write_item
 from ..simd.float32x8 import (
     NO_COST,
     NUMBER,
@@ -43,6 +42,7 @@ BINS = 16  # of an axis
 AXES = 3
 NODE = 3  # place of the node number, as int32
 HI = 4  # place of hi x
+COUNT = 7  # place of a zero; in a bin, of how many boxes it holds
 
 SMALL_RANGE = np.float32(2.0**-10)  # of the unit: below, float32 would see too little of the range
 COINCIDENT = np.float32(2.0**-20)  # of the range: centres this close cannot be told apart
@@ -146,22 +146,27 @@ def rescale_items(nodes, items, numbers, start, stop):
     1]; returns half the longest edge of that.
     """
     ndim = nodes[0].lo.shape[0]
-    lo, hi = stack_array(SIDES, np.float64), stack_array(SIDES, np.float64)
-    for side in range(SIDES):
-        lo[side], hi[side] = np.inf, -np.inf
+    lo, hi = stack_array(AXES, np.float64), stack_array(AXES, np.float64)
+    lo[:], hi[:] = np.inf, -np.inf
     for item in range(start, stop):
-        enclose(nodes, numbers[item * LANES + NODE], lo, hi)
-    units, half = stack_array(UNITS, np.float64), 0.0
-    for axis in range(SIDES):
-        units[axis] = 0.0
+        here = nodes[numbers[item * LANES + NODE]]
+        for axis in range(ndim):
+            lo[axis], hi[axis] = min(lo[axis], here.lo[axis]), max(hi[axis], here.hi[axis])
+    center, half = stack_array(AXES, np.float64), 0.0
     for axis in range(ndim):
-        low, high = lo[axis], hi[axis]
-        units[axis] = low * 0.5 + high * 0.5
-        half = max(half, high * 0.5 - low * 0.5)
+        center[axis] = lo[axis] * 0.5 + hi[axis] * 0.5
+        half = max(half, hi[axis] * 0.5 - lo[axis] * 0.5)
     # A power of two, whose inverse is finite.
-    units[SIDES] = math.ldexp(1.0, min(-math.frexp(half)[1], 1022))
+    scale = math.ldexp(1.0, min(-math.frexp(half)[1], 1022))
     for item in range(start, stop):
-        write_item(items, item, nodes, numbers[item * LANES + NODE], units)
+        first = item * LANES
+        here = nodes[numbers[first + NODE]]
+        for axis in range(AXES):
+            items[first + axis] = items[first + HI + axis] = np.float32(0.0)
+        items[first + COUNT] = np.float32(0.0)
+        for axis in range(ndim):
+            items[first + axis] = np.float32((here.lo[axis] - center[axis]) * -scale)
+            items[first + HI + axis] = np.float32((here.hi[axis] - center[axis]) * scale)
     return half
 
 

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from ..area import area_scale, area_unit, half_area, node_area, tree_cost
 from ..compiler import LANES, copy8, inlined, lean_kernel, prefetch, stack_array
-from ..nodes import DEEPEST, NONE, is_leaf, next_node, refit_node, take_inner
-from ..simd.closest_pairs import pair_up
+from ..nodes import DEEPEST, NONE, aligned_empty, is_leaf, next_node, refit_node, take_inner
+from ..simd.float32x8 import pair_up
 from .binning import (
     BIN_FLOATS,
     NO_SPLIT,
@@ -45,6 +45,58 @@ _AHEAD = 32  # how far ahead free nodes are asked for: often they lie side by si
 START, STOP, LEVELS, PLACE, LAST, SMALL, _PLACES = range(7)
 _RANGES = DEEPEST + 2
 _RANGE_PLACES, _PLAN_PLACES = _PLACES * _RANGES, PLAN * _RANGES
+
+
+# ---- Memory to build in. It is made before a change begins: within a change memory must not run
+# short.
+
+
+TREELET = 512  # leaves of a subtree that `optimize` rebuilds at once: it stays in the near caches
+KEPT = 1 << 22  # bytes of room at most that are kept for the next build
+
+
+class Room(NamedTuple):
+    """Memory to build in; `items` and `numbers` are one array, see `binning`."""
+
+    items: NDArray[np.float32]
+    """Eight places an item, for twice as many items as there are leaves."""
+    numbers: NDArray[np.int32]
+    """The same memory."""
+    made: NDArray[np.int32]
+    """An inner node a leaf."""
+
+
+def room_to_build(count: int) -> Room:
+    """Memory to build a tree of so many boxes, or any part of it."""
+    places = 2 * LANES * (count + TREELET)
+    room = aligned_empty(places + count, np.dtype(np.int32))
+    return Room(room[:places].view(np.float32), room[:places], room[places:])
+
+
+_spare: list[Room] = []  # one, unless it is in use
+
+
+def spare_room(count: int) -> Room:
+    """`room_to_build`, or what the last build has left, if that fits.
+
+    Of a build of 10,000 boxes the room is a quarter of the memory. With it, the system gets as
+    much back after a tree is gone that it takes the rest, too: new memory for all of the next one
+    is half its time.
+    """
+    try:
+        room = _spare.pop()  # at once: no other thread has it, nor a signal handler
+    except IndexError:
+        return room_to_build(count)
+    return room if count <= len(room.made) <= 2 * count else room_to_build(count)
+
+
+def leave_room(room: Room) -> None:
+    """What `spare_room` gave is not used any more."""
+    if room.items.nbytes <= KEPT:
+        _spare[:] = [room]
+
+
+# ---- a build
 
 
 class Work(NamedTuple):

@@ -22,8 +22,7 @@ from ..nodes import (
     refit_node,
 )
 from .binning import NODE, levels_needed
-from .building import build
-from .room import TREELET, Room
+from .building import TREELET, Room, build
 
 # The cost is looked at after so many moves a box; if it has become so much higher than it was
 # when built, or the number of boxes so different, the tree is built anew.

@@ -10,8 +10,8 @@ import numba
 from numba import types
 from numba.extending import overload
 
-from . import inside, kernel_cache, worker
-from .workers import run_beside
+from . import inside, kernel_cache
+from .workers import is_here, run_beside
 
 kernel_cache.parts = inside.parts
 
@@ -104,7 +104,7 @@ def entry_point(
 
 def prepare(compiled: Any, *arguments: Any) -> None:
     """Compile what becomes a part of kernels that get arguments of these types, while another
-    process compiles what else they are made of. Only in a worker: who loads kernels needs none.
+    process compiles what else they are made of. Only in a worker: loading kernels needs none.
     """
-    if inside.parts() is not None and worker.is_here():
+    if inside.parts() is not None and is_here():
         compiled.prepare(tuple(map(numba.typeof, arguments)))

@@ -14,12 +14,12 @@ if sys.platform != 'win32':
 
 NAME = 'lock'
 POLL = 0.02  # seconds between two looks
-PATIENCE = 120.0  # seconds; who holds a lock for longer has been stopped
+PATIENCE = 120.0  # seconds; a process that holds a lock for longer has been stopped
 
 
 @functools.cache
 def _open(folder: Path, _process: int) -> int:
-    """The folder's lock file, open once in each process: who closes it gives up all its locks."""
+    """The folder's lock file, open once in each process: closing it gives up all locks."""
     return os.open(folder / NAME, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
 
 

@@ -70,11 +70,11 @@ def cache_folder() -> Path | None:
     In `$NUMBA_CACHE_DIR`, else `$XDG_CACHE_HOME`, else `~/.cache`, else the machine's temporary
     folder.
     """
-    return _find_folder(settings())
+    return find_folder(settings())
 
 
 @functools.cache
-def _find_folder(settings: tuple[str, ...]) -> Path | None:
+def find_folder(settings: tuple[str, ...]) -> Path | None:
     if parts() is None:
         return None
     name = hashlib.sha256('\n'.join(settings).encode()).hexdigest()[:16]

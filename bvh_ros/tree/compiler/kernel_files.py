@@ -32,7 +32,7 @@ from .entry_lock import EntryLock
 from .kernel_cache import PART, cache_folder, settings, warn
 from .private_folder import is_ours_alone, write_whole
 
-_SEAL = hashlib.sha256().digest_size
+SEAL = hashlib.sha256().digest_size
 
 
 class _Place(caching._CacheLocator):
@@ -47,13 +47,13 @@ class _Place(caching._CacheLocator):
         return cls(function, source)
 
     def get_cache_path(self) -> str:
-        return ''  # `_SealedFiles` looks for the folder when there is something to keep
+        return ''  # `SealedFiles` looks for the folder when there is something to keep
 
     def ensure_cache_path(self) -> None:
         pass
 
     def get_source_stamp(self) -> str:
-        return ''  # `_SealedFiles` asks for it when there is something to look for
+        return ''  # `SealedFiles` asks for it when there is something to look for
 
     def depends_on(self) -> str:
         """Hash of the sources that this function's code depends on."""
@@ -127,7 +127,7 @@ def _names_in(bitcode: bytes) -> bytes:
 
 
 class PartCode(JITCodeLibrary):
-    """The code of a part: it is linked into those who call it, and nowhere else."""
+    """The code of a part: it is linked into its callers, and nowhere else."""
 
     _dynamic_globals: list[str]
 
@@ -165,13 +165,13 @@ class PartCode(JITCodeLibrary):
         self._finalized = True
 
 
-class _SealedFiles:
+class SealedFiles:
     """Files for one kernel or part: for each signature one, which needs no other one.
 
     So processes that compile the same kernel at once just write equal files, one after the other.
     """
 
-    _said = False
+    warned = False
 
     def __init__(self, name: str, locator: _Place, suffix: str) -> None:
         self._name = name
@@ -210,10 +210,10 @@ class _SealedFiles:
             with path.open('rb') as file:
                 if not is_ours_alone(os.fstat(file.fileno()), or_of_root=or_of_root):
                     return None
-                seal, content = file.read(_SEAL), file.read()
+                seal, content = file.read(SEAL), file.read()
         except OSError:
             return None
-        if seal != self._seal(path, content):
+        if seal != self.seal_of(path, content):
             return None
         caching._cache_log('[cache] data loaded from %r', str(path))
         return content
@@ -225,10 +225,10 @@ class _SealedFiles:
             return
         content = dumps(data)
         try:
-            write_whole(path, self._seal(path, content) + content)
+            write_whole(path, self.seal_of(path, content) + content)
         except OSError as error:
-            if not _SealedFiles._said:
-                _SealedFiles._said = True
+            if not SealedFiles.warned:
+                SealedFiles.warned = True
                 warn(f'not kept: {error}')
             return
         caching._cache_log('[cache] data saved to %r', str(path))
@@ -242,7 +242,7 @@ class _SealedFiles:
         return f'{self._name}.{signature[:32]}{self._suffix}'
 
     @staticmethod
-    def _seal(path: Path, content: bytes) -> bytes:
+    def seal_of(path: Path, content: bytes) -> bytes:
         """Hash of what the content is, and of the content: a renamed file is not whole, either."""
         digest = hashlib.sha256(f'{path.parent.name}/{path.name}\n'.encode())
         digest.update(content)
@@ -257,12 +257,12 @@ class KernelCache(caching.FunctionCache):
 
     def __init__(self, function: Any) -> None:
         super().__init__(function)
-        self._cache_file = _SealedFiles(self._impl.filename_base, self._impl.locator, self._suffix)
+        self._cache_file = SealedFiles(self._impl.filename_base, self._impl.locator, self._suffix)
         self._lock = EntryLock()
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
-        """Return what is kept. Else who calls has to compile it, to save it and to call `release`;
-        until then other processes that want it wait.
+        """Return what is kept. Else the caller has to compile it, to save it and to call
+        `release`; until then other processes that want it wait.
         """
         found = self._load(sig, target_context)
         if found is not None or (folder := cache_folder()) is None:

@@ -40,8 +40,8 @@ def _count_from_anywhere() -> None:
 
 _count_from_anywhere()
 if hasattr(os, 'register_at_fork'):
-    # Who forks waits until no thread compiles: its child would have the lock for ever, and nobody
-    # in it who gives it back.
+    # A fork waits until no thread compiles: else its child would have the lock for ever, and no
+    # thread that releases it.
     os.register_at_fork(
         before=global_compiler_lock.acquire,
         after_in_parent=global_compiler_lock.release,

@@ -43,7 +43,7 @@ def depends_on(source: Path) -> set[Path]:
     """Return the file and those of its package that it imports, at any depth."""
     found, todo = {source}, [source]
     while todo:
-        new = _imported(todo.pop()) - found
+        new = imported_by(todo.pop()) - found
         found |= new
         todo += new
     return found
@@ -78,21 +78,21 @@ def _package() -> tuple[dict[str, Path], set[str]]:
 
 
 @functools.cache
-def _imported(source: Path) -> frozenset[Path]:
+def imported_by(source: Path) -> frozenset[Path]:
     """The files of this package that the import statements of one file name."""
     found: set[Path] = set()
     text = source.read_text(encoding='utf-8')
     for match in _FROM.finditer(text):
         dots, module = match['dots'], match['module'].split('.') if match['module'] else []
         for name in _NAME.findall(match['several'] or match['names']):
-            found.update(_named(source, len(dots), [*module, name]))
+            found.update(named_files(source, len(dots), [*module, name]))
     for match in _IMPORT.finditer(text):
         for name in _NAME.findall(match['names']):
-            found.update(_named(source, 0, name.split('.')))
+            found.update(named_files(source, 0, name.split('.')))
     return frozenset(found)
 
 
-def _named(source: Path, level: int, words: list[str]) -> Iterator[Path]:
+def named_files(source: Path, level: int, words: list[str]) -> Iterator[Path]:
     """The file that a name comes from, if it is of this package."""
     if level:
         return _files(_place(source).split('/')[:-level], words)

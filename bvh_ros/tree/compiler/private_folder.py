@@ -52,7 +52,7 @@ def open_private(ours: Path, name: str) -> Path:
     for part in ours, folder:
         part.mkdir(mode=0o700, exist_ok=True)
         check(part)
-    for draft in folder.glob(f'*{DRAFT}'):  # of who was ended while it wrote
+    for draft in folder.glob(f'*{DRAFT}'):  # of processes that ended while they wrote
         with contextlib.suppress(OSError):
             if time.time() - draft.stat().st_mtime > ABANDONED:
                 draft.unlink()

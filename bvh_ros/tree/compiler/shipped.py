@@ -55,8 +55,8 @@ def missing_features(wanted: Sequence[str]) -> list[str]:
 
 
 def finish(folder: Path, settings: Sequence[str], codegen: Codegen) -> None:
-    """Write the manifest of a folder that was compiled with these settings, and let all read it,
-    as who made it can alone write there.
+    """Write the manifest of a folder that was compiled with these settings, and let all read it:
+    only its maker can write there.
     """
     named = LEVELS.get(codegen[1])
     features = [word[1:] for word in codegen[2].split(',') if word.startswith('+')]

@@ -2,9 +2,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """Compiling in several processes: numba compiles one function at a time in each."""
 
+import base64
 import contextlib
 import os
+import pickle
+import queue
 import selectors
+import signal
 import subprocess
 import sys
 import threading
@@ -13,9 +17,114 @@ from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from pathlib import Path
+from typing import Any, NoReturn, TextIO
 
-from . import worker
-from .fork import Fork
+# ---- in the other process
+
+
+Calls = queue.SimpleQueue[str]
+
+_here = False
+
+
+def main(commands: TextIO, answers: TextIO) -> NoReturn:
+    """Run what comes, a call a line; answer each with a line: why it failed, or nothing."""
+    global _here
+    _here = True
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the process that sent the calls
+    if hasattr(os, 'nice'):
+        os.nice(5)  # the sender may answer queries meanwhile
+    calls: Calls = queue.SimpleQueue()
+    threading.Thread(target=_listen, args=(commands, calls), daemon=True).start()
+    while True:
+        print(_run(calls.get()), file=answers, flush=True)
+
+
+def _listen(commands: TextIO, calls: Calls) -> None:
+    """Take calls, and end the process as soon as the sender has ended."""
+    for line in commands:
+        calls.put(line)
+    os._exit(0)
+
+
+def _run(line: str) -> str:
+    try:
+        pickle.loads(base64.b64decode(line))()
+    except Exception as error:
+        return ' '.join(repr(error).split())
+    return ''
+
+
+def is_here() -> bool:
+    """Whether this process is a worker."""
+    return _here
+
+
+def run_and_end(call: Callable[[], object]) -> NoReturn:
+    """Run a call, and end this process without waiting for another one."""
+    call()
+    os._exit(0)
+
+
+def packed(call: Any) -> bytes:
+    """Return a call as a line for a worker; what cannot be sent raises what pickle raises."""
+    return base64.b64encode(pickle.dumps(call)) + b'\n'
+
+
+# ---- forks
+
+
+class Fork:
+    """What `subprocess.Popen` is to a worker that imports everything itself.
+
+    Parameters
+    ----------
+    others : sequence of Fork
+        That are there: a fork holds no end of their pipes, or they would not hear that this
+        process has ended.
+
+    Raises
+    ------
+    OSError
+        If there is no room for a process.
+    """
+
+    def __init__(self, others: Sequence['Fork']) -> None:
+        commands, tell = os.pipe()
+        heard, answer = os.pipe()
+        self.stdin, self.stdout = os.fdopen(tell, 'wb'), os.fdopen(heard, 'rb')
+        try:
+            self.pid = os.fork()
+        except OSError:
+            for end in commands, answer:
+                os.close(end)
+            raise
+        if self.pid == 0:
+            _be_worker([*others, self], commands, answer)
+        os.close(commands)
+        os.close(answer)
+
+    def kill(self) -> None:
+        """End it at once."""
+        os.kill(self.pid, signal.SIGKILL)
+
+    def wait(self) -> None:
+        """Wait until it has ended."""
+        os.waitpid(self.pid, 0)
+
+
+def _be_worker(forks: Sequence[Fork], commands: int, answer: int) -> NoReturn:
+    """Be a worker. What this process was about to do, its parent does."""
+    try:
+        for fork in forks:
+            fork.stdin.close()
+            fork.stdout.close()
+        main(os.fdopen(commands), os.fdopen(answer, 'w'))
+    finally:
+        os._exit(1)
+
+
+# ---- in this process
 
 Process = subprocess.Popen[bytes] | Fork
 
@@ -23,7 +132,7 @@ MOST = 8  # processes, of some 300 MB
 START = """
 import sys
 sys.path[:] = {}
-from bvh_ros.tree.compiler.worker import main
+from bvh_ros.tree.compiler.workers import main
 main(sys.stdin, sys.stdout)
 """
 
@@ -46,12 +155,12 @@ def run_beside(call: Callable[[], object]) -> None:
     """Run a call in a process of its own, which ends then, or with this one; where that is no
     gain or cannot be, not at all.
     """
-    if processors() == 1 or worker.is_here() or 'python' not in Path(sys.executable or '').name:
+    if processors() == 1 or is_here() or 'python' not in Path(sys.executable or '').name:
         return
     with contextlib.suppress(OSError):
         process = _spawn()
         assert process.stdin is not None
-        process.stdin.write(worker.packed(partial(worker.run_and_end, call)))
+        process.stdin.write(packed(partial(run_and_end, call)))
         process.stdin.flush()
         threading.Thread(target=process.wait, daemon=True).start()
 
@@ -154,7 +263,7 @@ class Workers:
         while self._todo:
             number, call = self._todo.popleft()
             try:
-                line = worker.packed(call)
+                line = packed(call)
             except Exception as error:  # whatever an object that will not be pickled raises
                 self._lost.append((number, repr(error)))
                 continue

@@ -10,12 +10,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from .. import checks, time_checks
+from .. import checks
 from ..batch.streams import RAYS_AT_ONCE
 from ..checks import INT64
 from ..compiler import inlined, lean_kernel, stack_array
-from ..entries import entry_points
-from ..nodes import EXACT_RAYS, NONE, RAYS, ROOT, Tree
+from ..nodes import EXACT_RAYS, NONE, RAYS, ROOT, Tree, entry_points
 from ..query.ray import (
     ANY,
     CLOSEST,
@@ -298,12 +297,12 @@ class MotionRays(Motion):
         """`cast_one` of lo, hi, direction: (handle, or NONE or NOT_FINITE, t)."""
         at, pace = times
         if not (type(at) is type(pace) is float):
-            times = at, pace = time_checks.moment('at', at), time_checks.moment('pace', pace)
+            times = at, pace = checks.moment('at', at), checks.moment('pace', pace)
         given = swept, options, times, place
         handle, t = self.ask_path(tree, one_entry(tree._ndim), given, at, pace, options[0])
         if handle == NOT_FINITE:
-            time_checks.moments('at', at, None)
-            time_checks.moments('pace', pace, None)
+            checks.moments('at', at, None)
+            checks.moments('pace', pace, None)
         return handle, t
 
     def ask_path(
@@ -374,7 +373,7 @@ class MotionRays(Motion):
             hits = self._few_at_one_time(tree, rays, skip, mode, times)
             if hits is not None:
                 return hits
-        when = time_checks.times('at', at, count), time_checks.times('pace', pace, count)
+        when = checks.times('at', at, count), checks.times('pace', pace, count)
         span, every = times_of(*when, rays[2])
         if not every:
             when = both_times(times, count)

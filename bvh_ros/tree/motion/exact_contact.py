@@ -18,10 +18,17 @@ from numpy.typing import NDArray
 from ..batch.streams import ASK, MEETS, MISSES
 from ..compiler import inlined, lean_kernel, prefetch, stack_array, trailing_zeros
 from ..nodes import NONE, leaf_box
-from ..query.exact import LIMB_BITS, LIMB_MASK, LIMBS, LOWEST_BIT, add_product
+from ..query.exact import (
+    LIMB_BITS,
+    LIMB_MASK,
+    LIMBS,
+    LOWEST_BIT,
+    add_product,
+    two_product,
+    two_sum,
+)
 from ..query.slab import CLEAR, DIRECTION, EXACT, INSIDE, ORIGIN, PAD, TINY, UPPER
 from ..simd.moving_leaf import moving_slabs
-from ..unrounded import two_product, two_sum
 
 PRODUCT_LIMBS = 2 * LIMBS + 1
 LIMB = 2.0**LIMB_BITS

@@ -16,8 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..compiler import inlined, lean_kernel, stack_array
-from ..entries import entry_points
-from ..nodes import ROOT
+from ..nodes import ROOT, entry_points
 from ..query.nearest import (
     NO_POINTS,
     Best,

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..compiler import inlined, lean_kernel, stack_array
-from ..entries import entry_points
+from ..nodes import entry_points
 from ..query.overlap import FIRST, NO_QUERIES, fill_rows, find_touching, name_slots
 from ..query.ray import of_row
 from ..query.slab import RAY_ROWS, set_swept_box

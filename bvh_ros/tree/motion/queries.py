@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from .. import time_checks
+from .. import checks
 from ..query.nearest import PointQueries
 from ..store.turns import NOT_FINITE
 from . import nearest, overlap
@@ -29,14 +29,14 @@ class MotionQueries(MotionRays):
         NOT_FINITE.
         """
         if type(at) is not float:
-            at = time_checks.moment('at', at)
+            at = checks.moment('at', at)
         moving = self.bounds
         while True:
             count: int = kernel(tree._settled().tree, moving, at, *arguments)
             if count >= 0:
                 return count
             if count == NOT_FINITE:
-                time_checks.moment('at', at)
+                checks.moment('at', at)
                 return count
             moving = self.others(tree, moving, count, span_of(at, 0.0, 0.0))
 
@@ -44,13 +44,13 @@ class MotionQueries(MotionRays):
         """The same of a batch, at a time or at a time a row: what the kernel returns if it is no
         negative number, or NOT_FINITE.
         """
-        times, moving = time_checks.times('at', at, count), self.bounds
+        times, moving = checks.times('at', at, count), self.bounds
         while True:
             found = kernel(tree._settled().tree, moving, times, *arguments)
             if isinstance(found, tuple) or found >= 0:
                 return found
             if found == NOT_FINITE:
-                time_checks.moments('at', at, count)
+                checks.moments('at', at, count)
                 return found
             moving = self.others(tree, moving, found, times_of(times, STILL, STILL)[0])
 

@@ -10,10 +10,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from .. import time_checks
+from .. import checks
 from ..batch.snapshot import Snapshot, take_snapshot
 from ..compiler import CACHE_LINE, WIDTH, entry_point, lean_kernel
-from ..entries import entry_points
 from ..nodes import (
     ASKS,
     CHANGES,
@@ -27,6 +26,7 @@ from ..nodes import (
     View,
     aligned_empty,
     empty_tree,
+    entry_points,
 )
 from ..query.ray import of_row
 from ..store.turns import IS_CHANGED, NOT_FINITE, REFUSED, begin_change, end_change
@@ -156,7 +156,7 @@ Floats = NDArray[np.float64]
 def both_times(times: tuple[Any, Any], count: int) -> tuple[Floats, Floats]:
     """`at` and `pace`: each one for all or (n,), finite."""
     at, pace = times
-    return time_checks.moments('at', at, count), time_checks.moments('pace', pace, count)
+    return checks.moments('at', at, count), checks.moments('pace', pace, count)
 
 
 def span_of(at: float, pace: float, t_max: float) -> tuple[float, float]:
@@ -489,9 +489,13 @@ class Motion:
         return tuple.__new__(Moving, parts)
 
     @property
+    def sweep(self) -> Sweep | None:
+        """The swept snapshot that batches of rays go through, if there is one."""
+        return self._cache.sweep
+
+    @property
     def nbytes(self) -> int:
         """Memory of all."""
-        sweep = self._cache.sweep
-        more = 0 if sweep is None else sweep.nbytes
+        more = 0 if self.sweep is None else self.sweep.nbytes
         more += 0 if self.bounds is self.moving else self.bounds.nodes.nbytes
         return self.velocities.nbytes + self.moving.nodes.nbytes + more

@@ -49,8 +49,7 @@ from ..batch.streams import (
     visit_leaf,
 )
 from ..compiler import CACHE_LINE, WIDTH, inlined, lean_kernel, prefetch, stack_array
-from ..entries import entry_points
-from ..nodes import NONE, Tree, aligned_empty
+from ..nodes import NONE, Tree, aligned_empty, entry_points
 from ..query.ray import ANY, CLOSEST, NO_HITS, Hit, of_row
 from ..query.slab import EXACT, INSIDE, set_ray
 from ..results import RayHits
@@ -714,6 +713,5 @@ def leave_ray(ray, origin, direction):
     """Leave the ray: `is_better` writes it where it needs it."""
 
 
-_ROW, _ROWS = np.empty(0), np.empty((0, 3))
 NO_FEW = _ROWS, _ROWS, _ROW, np.empty(0, np.uint32)
 few_entry = entry_points(cast_few, no_sweep, NO_FEW, False, CLOSEST, AS_ARRAYS, NO_HITS)

@@ -3,11 +3,12 @@
 """Overlaps, pairs, swept boxes, nearest boxes. Each method checks its input and calls a kernel."""
 
 import functools
+from fractions import Fraction
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
-from .. import box_checks, checks, handle_checks
+from .. import checks
 from ..checks import INT64
 from ..introspection import Introspection
 from ..nodes import ALL, COUNT, NONE, aligned_empty
@@ -17,7 +18,64 @@ from ..store.turns import IS_CHANGED, NOT_FINITE, REFUSED, accepted
 from ..timed import NOW
 from . import nearest, overlap, pairs
 from .ray import CLOSEST, boxcast_entry
-from .within import boxes_within
+
+
+def lengths(vectors: Floats) -> Floats:
+    """Euclidean lengths of rows.
+
+    Scaled by a power of two, so that squares neither overflow nor vanish.
+    """
+    exponent = np.frexp(np.abs(vectors).max(axis=1, initial=0.0))[1]
+    scaled = np.ldexp(vectors, -exponent[:, None])
+    result: Floats = np.ldexp(np.sqrt((scaled * scaled).sum(axis=1)), exponent)
+    return result
+
+
+def boxes_within(
+    lo: Floats, hi: Floats, query_lo: Floats, query_hi: Floats, tolerance: ArrayLike
+) -> NDArray[np.bool_]:
+    """Whether axis-aligned boxes, shape (n, ndim), are within the tolerance of another one, or
+    each of its own, of shape (ndim,) or (n, ndim); `tolerance` is one for all or (n,).
+    """
+    distances = lengths(np.maximum(np.maximum(lo - query_hi, query_lo - hi), 0.0))
+    reach = np.broadcast_to(np.asarray(tolerance, np.float64), distances.shape)
+    near: NDArray[np.bool_] = distances <= reach
+    # A gap is rounded once, the length a few times: only next to the tolerance may that decide.
+    close = np.flatnonzero(np.abs(distances - reach) <= 2.0**-49 * reach)
+    others = (np.broadcast_to(side, lo.shape)[close] for side in (query_lo, query_hi))
+    gaps, reach = _exact_gaps(lo[close], hi[close], *others), reach[close]
+    axes = (gaps[:, 0] > 0.0).sum(axis=1)
+    # Along one axis: a sum that rounds to the tolerance is larger if its second part is positive.
+    first, rest = gaps.sum(axis=2).T
+    near[close] = (first < reach) | ((first == reach) & (rest <= 0.0))
+    slanted = close[axes > 1]
+    if len(slanted):  # voxels that far away are many, but their gaps few
+        table = np.column_stack((gaps[axes > 1].reshape(len(slanted), -1), reach[axes > 1]))
+        known, of = np.unique(table, axis=0, return_inverse=True)
+        squares = (
+            sum((Fraction(a) + Fraction(b)) ** 2 for a, b in row)
+            for row in known[:, :-1].reshape(len(known), 2, -1).transpose(0, 2, 1).tolist()
+        )
+        limits = known[:, -1].tolist()
+        closer = [
+            square <= Fraction(limit) ** 2 for square, limit in zip(squares, limits, strict=True)
+        ]
+        near[slanted] = np.array(closer)[of.ravel()]
+    return near
+
+
+def _exact_gaps(lo: Floats, hi: Floats, query_lo: Floats, query_hi: Floats) -> Floats:
+    """The gaps (n, 2, ndim) between boxes and another along each axis, unrounded: each is the sum
+    of two doubles, the second below the last digit of the first (Knuth's TwoSum).
+    """
+    above, below = lo - query_hi, query_lo - hi
+    a = np.where(above > 0.0, lo, query_lo)
+    b = np.where(above > 0.0, query_hi, hi)
+    gap = np.maximum(np.maximum(above, below), 0.0)
+    part = gap - a
+    lost = (a - (gap - part)) + (-b - part)
+    return np.stack((gap, np.where(gap > 0.0, lost, 0.0)), axis=1)
+
 
 FEW_NEAREST = 64  # a larger k makes no more room than for all boxes
 LARGEST = np.finfo(np.float64).max
@@ -86,8 +144,8 @@ class BoxQueries(Introspection):
         if isinstance(found, tuple):
             return found
         if found == NOT_FINITE:
-            box_checks.boxes(low, high, ndim)
-            raise box_checks.were_changed()
+            checks.boxes(low, high, ndim)
+            raise checks.were_changed()
         raise RuntimeError(IS_CHANGED)
 
     def overlap_pairs(self, mask: int = ALL) -> Ids:
@@ -199,8 +257,8 @@ class BoxQueries(Introspection):
         of boxes that have velocities.
         """
         ndim = self._ndim
-        if box_checks.is_pair(point):
-            low, high = box_checks.pair('point', point, ndim)
+        if checks.is_pair(point):
+            low, high = checks.pair('point', point, ndim)
         else:
             low = high = checks.vector('point', point, ndim)
         k = checks.capacity('k', k)
@@ -269,7 +327,7 @@ class BoxQueries(Introspection):
         """Handles of the boxes that lie in the closed box from `lo` to `hi`, shape (ndim,) each,
         with all of their corners; ascending.
         """
-        low, high = box_checks.box(lo, hi, self.ndim)
+        low, high = checks.box(lo, hi, self.ndim)
         view = self._view()
         handles = self.overlap(low, high, mask)
         lower, upper = self.boxes(handles)
@@ -342,7 +400,7 @@ class BoxQueries(Introspection):
         """
         given = checks.RAY_ARGUMENTS, origins, directions, self.ndim
         starts, rays = checks.points_of_both(*given)
-        handles = handle_checks.numbers('ids', ids)
+        handles = checks.numbers('ids', ids)
         if handles.shape != (len(starts),):
             raise ValueError(f'ids must have shape ({len(starts)},), not {handles.shape}')
         rows = np.flatnonzero(handles != NONE)
@@ -361,6 +419,6 @@ class BoxQueries(Introspection):
 def _refuse(reason: int, low: Floats, high: Floats, ndim: int) -> None:
     """Raise what a query of one box was refused for, if it was."""
     if reason == NOT_FINITE:
-        box_checks.box(low, high, ndim)
+        checks.box(low, high, ndim)
     if reason < 0:
         raise RuntimeError(IS_CHANGED)

@@ -20,8 +20,7 @@ from numpy.typing import NDArray
 
 from ..checks import Floats
 from ..compiler import inlined, lean_kernel, stack_array, trailing_zeros
-from ..entries import entry_points
-from ..nodes import DEEPEST, NONE, ROOT, Tree, is_leaf, leaf_box
+from ..nodes import DEEPEST, NONE, ROOT, Tree, entry_points, is_leaf, leaf_box
 from ..simd.float64x8 import EIGHT, at_most8, count_bits, gap_squares8
 from ..store.turns import ANY_VERSION, NOT_FINITE, REFUSED, begin_query, end_query
 from .overlap import is_box

@@ -16,8 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..compiler import entry_point, inlined, lean_kernel, stack_array, trailing_zeros
-from ..entries import entry_points
-from ..nodes import DEEPEST, NONE, ROOT, SLOT_BITS, is_leaf, leaf_box, next_node
+from ..nodes import DEEPEST, NONE, ROOT, SLOT_BITS, entry_points, is_leaf, leaf_box, next_node
 from ..simd.float64x8 import EIGHT, touching8
 from ..store.turns import REFUSED, begin_query, end_query
 

@@ -14,8 +14,18 @@ from numpy.typing import NDArray
 from .. import checks
 from ..checks import INT64
 from ..compiler import inlined, lean_kernel, stack_array
-from ..entries import entry_points
-from ..nodes import CHANGES, DEEPEST, EXACT_RAYS, NONE, RAYS, ROOT, Tree, View, leaf_box
+from ..nodes import (
+    CHANGES,
+    DEEPEST,
+    EXACT_RAYS,
+    NONE,
+    RAYS,
+    ROOT,
+    Tree,
+    View,
+    entry_points,
+    leaf_box,
+)
 from ..results import RayHits
 from ..store.turns import (
     ANY_VERSION,
@@ -471,7 +481,6 @@ def boxcast(tree, lo, hi, translation, mask, place):
     return handle, ts[0]
 
 
-_POINT = np.empty(0)
 boxcast_entry = entry_points(boxcast, *(_POINT,) * 3, np.uint32(0), np.empty((0, 3)))
 
 

@@ -265,8 +265,8 @@ class RayQueries(RayAsking):
             normal.
         at, pace : float
             Of boxes that have velocities: when the ray starts (a float in s, or an int in ns), and
-            how much later it is a unit of t, s. So `t` is when and where who moves along it meets
-            the first box.
+            how much later it is a unit of t, s. So `t` is when and where a body that moves along
+            it meets the first box.
 
         Returns
         -------

@@ -37,11 +37,11 @@ def _moved_row(context: Any, builder: Any, kind: Any, given: Any, ndim: int) -> 
     """The numbers of an array, or of (an array, another, so many times which it loses)."""
     if isinstance(kind, types.Array):
         return _row(context, builder, kind, given, ndim)
-    start, way, times = (builder.extract_value(given, place) for place in range(3))
-    way = _row(context, builder, kind[1], way, ndim)
+    start, direction, times = (builder.extract_value(given, place) for place in range(3))
+    direction = _row(context, builder, kind[1], direction, ndim)
     # -0.0 becomes 0.0, or a -0.0 that loses nothing would lose its sign.
     zero = ir.Constant(_VECTOR, [0.0] * FOUR)
-    lost = builder.fadd(builder.fmul(way, splat(builder, times, FOUR)), zero)
+    lost = builder.fadd(builder.fmul(direction, splat(builder, times, FOUR)), zero)
     return builder.fsub(_row(context, builder, kind[0], start, ndim), lost)
 
 
@@ -138,17 +138,17 @@ def look_ahead(typingctx, ray, origin, direction, whole):
             place = elements_at(context, builder, kind, args[3], index(first), index(FOUR))
             return builder.load(builder.bitcast(place, _VECTOR.as_pointer()), align=8)
 
-        start, way = (_row(context, builder, signature.args[k], args[k], ndim) for k in (1, 2))
+        start, along = (_row(context, builder, signature.args[k], args[k], ndim) for k in (1, 2))
         zero = ir.Constant(_VECTOR, [0.0] * FOUR)
         above = builder.and_(
-            builder.fcmp_ordered('>', start, side(FOUR)), builder.fcmp_ordered('>=', way, zero)
+            builder.fcmp_ordered('>', start, side(FOUR)), builder.fcmp_ordered('>=', along, zero)
         )
         below = builder.and_(
-            builder.fcmp_ordered('<', start, side(0)), builder.fcmp_ordered('<=', way, zero)
+            builder.fcmp_ordered('<', start, side(0)), builder.fcmp_ordered('<=', along, zero)
         )
-        nothing = builder.fadd(builder.fsub(start, start), builder.fsub(way, way))
+        nothing = builder.fadd(builder.fsub(start, start), builder.fsub(along, along))
         finite = _all(builder, builder.fcmp_ordered('==', nothing, zero))
         away = builder.and_(_any(builder, builder.or_(above, below)), finite)
-        return context.make_tuple(builder, signature.return_type, (away, _octant(builder, way)))
+        return context.make_tuple(builder, signature.return_type, (away, _octant(builder, along)))
 
     return result(ray, origin, direction, whole), codegen

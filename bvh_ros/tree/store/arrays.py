@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .. import changing, handle_checks
+from .. import changing, checks
 from ..batch.snapshot import (
     LEAST_RAYS,
     LOOSE_VISITS_PER_BOX,
@@ -20,7 +20,7 @@ from ..batch.snapshot import (
     patched,
     take_snapshot,
 )
-from ..build.room import Room, leave_room, spare_room
+from ..build.building import Room, leave_room, spare_room
 from ..moving import Change, Policy
 from ..nodes import (
     CHANGES,
@@ -36,8 +36,7 @@ from ..nodes import (
     Tree,
     View,
 )
-from .memory import touch
-from .storage import READ_ONLY, Storage, allocate, inherit_entry
+from .storage import READ_ONLY, Storage, allocate, inherit_entry, touch
 from .turns import ANY_VERSION, CHANGED, IS_CHANGED, IS_QUERIED, QUERIED
 
 Ids = NDArray[np.int64]
@@ -70,7 +69,7 @@ class Arrays:
     # without one, or how often rays visited its loose nodes; the arrays that it was taken of. All
     # are written together.
     _wide: tuple[int, int, Snapshot | None, Tree | None]
-    _room: Room | None  # written to by who has the turn, and by few changes at all
+    _room: Room | None  # written only by the thread whose turn it is, and by few changes
 
     @property
     def ndim(self) -> int:
@@ -107,17 +106,17 @@ class Arrays:
         which a caller may keep in arrays what he knows of the boxes. A slot is given again once
         its box is removed. KeyError if a handle names no box.
         """
-        given = handle_checks.array_of('handles', handles)
-        flat = handle_checks.slots_of(self._view().tree.handles, given.reshape(-1), once=False)
+        given = checks.array_of('handles', handles)
+        flat = checks.slots_of(self._view().tree.handles, given.reshape(-1), once=False)
         return flat.reshape(given.shape)
 
     def _slot(self, handle: int) -> int:
         """`_slots` of one handle."""
-        number, handles = handle_checks.handle(handle), self._settled().tree.handles
+        number, handles = checks.handle(handle), self._settled().tree.handles
         slot = number & SLOT_MASK
         if slot < len(handles) and handles.item(slot) == number:
             return slot
-        raise handle_checks.unknown(handle)
+        raise checks.unknown(handle)
 
     @property
     def _state(self) -> NDArray[np.int64]:
@@ -252,8 +251,8 @@ class Arrays:
             if room is None or len(room.made) < count:
                 room = spare_room(count)
             done: int = kernel(storage.tree, now, how, change, policy, room)
-            # Who builds a whole tree writes to all of the room: memory that a tree had better not
-            # keep.
+            # A build of a whole tree writes to all of the room: memory that a tree had better
+            # not keep.
             few = 0 < len(rows) <= FEW_ROWS and state.item(REBUILDS) == rebuilds
             self._room = room if few else None
             if not few:
@@ -282,7 +281,7 @@ class Arrays:
         if snapshot is not None and of == written and tree is view.tree and not snapshot.loose:
             return snapshot
         boxes = state.item(COUNT)
-        if tree is not view.tree:  # who still asks outgrown arrays patches nothing of the new ones
+        if tree is not view.tree:  # a query of outgrown arrays patches nothing of the new ones
             of, rays, snapshot = written, 0, None
         if of != written:
             if snapshot is not None:

@@ -21,7 +21,7 @@ from .. import checks
 from ..nodes import ALL_PLACES, COUNTERS, SERIAL, SLOT_MASK, STATE_PLACES, TURN
 from ..validation import array_forms
 from . import mapped
-from .drafts import put_in_place
+from .mapped import put_in_place
 from .storage import READ_ONLY, allocate, storage_of
 
 VERSION, WITH_MOTION = 1, 2  # the second holds velocities, too

@@ -16,9 +16,12 @@ import json
 import math
 import mmap
 import os
+import secrets
 import struct
 import sys
 import zlib
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -28,7 +31,26 @@ from numpy.typing import NDArray
 
 from ..nodes import COUNT, LAST_SERIAL, NONE, ROOT, SLOT_MASK, Tree
 from ..validation import COMPLAINTS, SOUND, array_forms, check_structure
-from .drafts import put_in_place
+
+
+@contextmanager
+def put_in_place(path: Path) -> Iterator[BinaryIO]:
+    """A file to write to, that takes the place of `path` at the end, and leaves nothing behind if
+    there is none: whoever reads meanwhile, or has mapped the older one, keeps that.
+    """
+    path = Path(os.path.realpath(path))  # a link stays one
+    if path.exists() and not path.is_file():  # a pipe is written to; a folder says what it is
+        with open(path, 'wb') as file:
+            yield file
+        return
+    draft = path.with_name(f'.{secrets.token_hex(8)}.part')  # two may write at once
+    try:
+        with open(draft, 'xb') as file:
+            yield file
+        os.replace(draft, path)
+    finally:
+        draft.unlink(missing_ok=True)
+
 
 MAGIC = b'BVHTREE\n'
 VERSION = 1

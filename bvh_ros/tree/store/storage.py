@@ -8,14 +8,15 @@ interrupted in between leaves the rest to the next call, which sees the heir.
 """
 
 import functools
+import mmap
 import os
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..compiler import entry_point, lean_kernel
-from ..entries import entry_points
 from ..nodes import (
     ALL_PLACES,
     CHANGES,
@@ -34,6 +35,7 @@ from ..nodes import (
     aligned_empty,
     box_dtype,
     empty_tree,
+    entry_points,
     leaf_box,
     link_free,
     node_dtype,
@@ -49,6 +51,17 @@ from .turns import (
     end_change,
     replace_atomically,
 )
+
+
+def touch(array: NDArray[Any]) -> None:
+    """Have the system give the memory of a new array now: write to each page what is there."""
+    array.view(np.uint8)[:: mmap.PAGESIZE] += 0
+
+
+def copy_bytes(array: NDArray[Any], into: NDArray[Any]) -> None:
+    """Copy an array to the begin of another one: of records numpy would copy field by field."""
+    into.view(np.uint8)[: array.nbytes] = array.view(np.uint8)
+
 
 READ_ONLY = -1
 

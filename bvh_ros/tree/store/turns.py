@@ -5,7 +5,7 @@
 Each kernel that walks through the tree takes its turn when it begins and gives it back when it
 ends, with one atomic instruction each on a word of the state array. No signal handler runs within
 a kernel and none raises an exception, so no turn is ever left behind, whatever interrupts the
-Python around it. Who does not get a turn does not wait: it is told so.
+Python around it. Contending calls fail at once with a RuntimeError.
 
 What takes several kernels names the version of the tree that the first one saw, and the others
 refuse any other one.

@@ -44,7 +44,7 @@ def in_threads(
 
     def help_out() -> None:
         done: Future[None] = Future()
-        begun.append(done)  # before the first piece: who has one is waited for
+        begun.append(done)  # before the first piece: a helper that has one is waited for
         try:
             take()
         except BaseException as error:
@@ -56,7 +56,7 @@ def in_threads(
         _ask_for_help(help_out, threads - 1)
         take()  # this thread is one of them: it is awake already
     finally:
-        # Who is interrupted leaves no work behind: who begins now finds none.
+        # An interrupted call leaves no work behind: a helper that begins now finds none.
         collections.deque(waiting, 0)
         for done in list(begun):
             done.exception()

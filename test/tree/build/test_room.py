@@ -6,31 +6,31 @@ import numpy as np
 import pytest
 
 from bvh_ros import DynamicBVH
-from bvh_ros.tree.build import room as rooms
+from bvh_ros.tree.build import building
 
 
 @pytest.fixture(autouse=True)
 def no_spare(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(rooms, '_spare', [])
+    monkeypatch.setattr(building, '_spare', [])
 
 
 def test_nobody_else_has_it() -> None:
-    first = rooms.spare_room(100)
-    rooms.leave_room(first)
-    again = rooms.spare_room(100)
+    first = building.spare_room(100)
+    building.leave_room(first)
+    again = building.spare_room(100)
     assert again is first
-    assert rooms.spare_room(100) is not first
+    assert building.spare_room(100) is not first
 
 
 @pytest.mark.parametrize('count', [49, 101])
 def test_what_does_not_fit_is_not_taken(count: int) -> None:
-    rooms.leave_room(rooms.room_to_build(100))
-    assert len(rooms.spare_room(count).made) == count
+    building.leave_room(building.room_to_build(100))
+    assert len(building.spare_room(count).made) == count
 
 
 def test_large_room_is_given_back() -> None:
-    rooms.leave_room(rooms.room_to_build(rooms.KEPT // 64))
-    assert rooms._spare == []
+    building.leave_room(building.room_to_build(building.KEPT // 64))
+    assert building._spare == []
 
 
 def test_trees_built_in_turns_in_the_same_room() -> None:

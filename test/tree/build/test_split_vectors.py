@@ -8,8 +8,8 @@ import numba
 import numpy as np
 import pytest
 
+from bvh_ros.tree.build import binning
 from bvh_ros.tree.nodes import node_dtype
-from bvh_ros.tree.simd import box_rows, closest_pairs
 from bvh_ros.tree.simd import float32x8 as split_vectors
 
 BINS = 16
@@ -17,7 +17,7 @@ BINS = 16
 
 @numba.njit
 def paired(items, start, count, other, other_count, planar, pairs):
-    closest_pairs.pair_up(items, start, count, other, other_count, planar, pairs)
+    split_vectors.pair_up(items, start, count, other, other_count, planar, pairs)
 
 
 @numba.njit
@@ -133,34 +133,31 @@ def test_pairs_of_equal_boxes_make_no_list() -> None:
 
 
 @numba.njit
-def written(nodes, items, bounds, units):
-    for node in range(len(nodes)):
-        box_rows.enclose(nodes, node, bounds[0], bounds[1])
-        box_rows.write_item(items, node, nodes, node, units)
+def written(nodes, items, numbers, start, stop):
+    return binning.rescale_items(nodes, items, numbers, start, stop)
 
 
 @pytest.mark.parametrize('ndim', [2, 3])
 def test_items_of_nodes(ndim: int) -> None:
-    """Bounds of all boxes, and each box in other units, with the number of its node."""
+    """Each box in units in which all of them fit into [-1, 1], with the number of its node."""
     rng = np.random.default_rng(ndim)
     nodes, items = np.zeros(50, node_dtype(ndim)), np.ones(400, np.float32)
     nodes['lo'] = rng.normal(size=(50, ndim)) * 1e3
     nodes['hi'] = nodes['lo'] + rng.exponential(size=(50, ndim))
-    nodes['left'] = -1  # a NaN for who reads it as a float64
-    bounds, units = np.empty((2, 4)), np.array([3.0, -7.0, 11.0, 0.0, 0.125])
-    units[ndim:4] = 0.0
-    bounds[0], bounds[1] = np.inf, -np.inf
-    written(nodes, items, bounds, units)
-    assert (bounds[0, :ndim] == nodes['lo'].min(axis=0)).all()
-    assert (bounds[1, :ndim] == nodes['hi'].max(axis=0)).all()
-    rows = items.reshape(50, 8)
-    assert (rows[:, :ndim] == (-(nodes['lo'] - units[:ndim]) * 0.125).astype(np.float32)).all()
-    assert (
-        rows[:, 4 : 4 + ndim] == ((nodes['hi'] - units[:ndim]) * 0.125).astype(np.float32)
-    ).all()
-    assert (rows[:, ndim:3] == 0.0).all()
-    assert (rows[:, 4 + ndim :] == 0.0).all()
-    assert (rows[:, 3].view(np.int32) == np.arange(50)).all()
+    rows, chosen = items.reshape(50, 8), rng.permutation(50)
+    rows[:, 3].view(np.int32)[:] = chosen
+    half = written(nodes, items, items.view(np.int32), 10, 40)
+    lo, hi = nodes['lo'][chosen[10:40]], nodes['hi'][chosen[10:40]]
+    center = lo.min(axis=0) * 0.5 + hi.max(axis=0) * 0.5
+    assert half == (hi.max(axis=0) * 0.5 - lo.min(axis=0) * 0.5).max()
+    unit = 2.0 ** -np.ceil(np.log2(half))
+    assert (rows[10:40, :ndim] == (-(lo - center) * unit).astype(np.float32)).all()
+    assert (rows[10:40, 4 : 4 + ndim] == ((hi - center) * unit).astype(np.float32)).all()
+    assert (rows[10:40, ndim:3] == 0.0).all()
+    assert (rows[10:40, 4 + ndim :] == 0.0).all()
+    assert (rows[:, 3].view(np.int32) == chosen).all()
+    others = np.delete(rows, np.r_[10:40], axis=0)
+    assert (np.delete(others, 3, axis=1) == 1.0).all()
 
 
 def some_scales(items: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

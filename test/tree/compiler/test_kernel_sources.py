@@ -96,11 +96,11 @@ def parsed(source):
     for node in ast.walk(ast.parse(source.read_bytes())):
         if isinstance(node, ast.Import):
             for alias in node.names:
-                yield from kernel_sources._named(source, 0, alias.name.split('.'))
+                yield from kernel_sources.named_files(source, 0, alias.name.split('.'))
         elif isinstance(node, ast.ImportFrom):
             module = node.module.split('.') if node.module else []
             for alias in node.names:
-                yield from kernel_sources._named(source, node.level, [*module, alias.name])
+                yield from kernel_sources.named_files(source, node.level, [*module, alias.name])
 
 
 def test_no_import_statement_is_overlooked():
@@ -108,7 +108,7 @@ def test_no_import_statement_is_overlooked():
     for source in SOURCES:
         wanted = {*parsed(source)}
         found += len(wanted)
-        assert wanted <= kernel_sources._imported(source), source
+        assert wanted <= kernel_sources.imported_by(source), source
     assert found > len(SOURCES)
 
 

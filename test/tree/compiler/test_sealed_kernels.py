@@ -17,7 +17,7 @@ import pytest
 from numba.core import config
 from tree.compiler.alone import run_alone
 
-from bvh_ros.tree import box_checks, checks, handle_checks
+from bvh_ros.tree import checks
 from bvh_ros.tree.compiler import compiling, kernel_cache, kernel_files, private_folder
 
 ROWS = np.array([[0.0, 1.0], [2.0, np.nan]])
@@ -27,10 +27,10 @@ ROWS = np.array([[0.0, 1.0], [2.0, np.nan]])
 def cache(tmp_path, monkeypatch):
     """An empty cache folder for this process."""
     monkeypatch.setenv('NUMBA_CACHE_DIR', str(tmp_path))
-    kernel_cache._find_folder.cache_clear()
-    monkeypatch.setattr(kernel_files._SealedFiles, '_said', False)
+    kernel_cache.find_folder.cache_clear()
+    monkeypatch.setattr(kernel_files.SealedFiles, 'warned', False)
     yield tmp_path / 'bvh_ros'
-    kernel_cache._find_folder.cache_clear()
+    kernel_cache.find_folder.cache_clear()
 
 
 def misses(function=checks.first_not_finite.py_func):
@@ -79,7 +79,7 @@ def test_checked_code_is_not_taken_for_unchecked(cache, monkeypatch):
     """The second slot is written behind its array's end, to memory that is there."""
     handles, slots = np.arange(2), np.zeros(2, np.int64)
     asked = handles, handles, np.zeros(0, np.bool_), slots[:1]
-    function = handle_checks._fill_slots.py_func
+    function = checks.fill_slots.py_func
     assert compiling.kernel(function)(*asked) == (-1, 0)
     assert slots[1] == 1
     monkeypatch.setattr(config, 'BOUNDSCHECK', 1)
@@ -118,7 +118,7 @@ def test_what_was_not_written_to_its_end_is_removed(cache):
     for draft in abandoned, begun:
         draft.touch()
     os.utime(abandoned, (0.0, 0.0))
-    kernel_cache._find_folder.cache_clear()
+    kernel_cache.find_folder.cache_clear()
     assert misses() == 0
     assert (abandoned.exists(), begun.exists()) == (False, True)
 
@@ -127,7 +127,7 @@ def test_what_machine_code_was_made_from_is_not_kept(cache):
     """A second process runs it all the same, see `test_kernel_cache`."""
     assert misses() == 1
     [path] = kept_files(cache)
-    (_, _, (code, bitcode)), *_ = pickle.loads(path.read_bytes()[kernel_files._SEAL :])
+    (_, _, (code, bitcode)), *_ = pickle.loads(path.read_bytes()[kernel_files.SEAL :])
     module = llvm.parse_bitcode(bitcode)
     bodies = [[*block.instructions] for f in module.functions for block in f.blocks]
     assert [len(body) for body in bodies] == [1] * len(bodies)
@@ -137,14 +137,14 @@ def test_what_machine_code_was_made_from_is_not_kept(cache):
 
 def test_another_file_under_a_kernels_name_is_compiled_again(cache):
     """Another kernel's, another version's, a folder, a link to nothing, one that is not ours."""
-    compiling.lean_kernel(box_checks._first_no_box.py_func)(ROWS, ROWS)
+    compiling.lean_kernel(checks.first_no_box.py_func)(ROWS, ROWS)
     (other,) = kept_files(cache)
     misses()
     (file,) = {*kept_files(cache)} - {other}
     shutil.copy(other, file)
     assert (misses(), misses()) == (1, 0)
     (cache / 'old').mkdir()
-    old = kernel_files._SealedFiles._seal(cache / 'old' / file.name, file.read_bytes()[32:])
+    old = kernel_files.SealedFiles.seal_of(cache / 'old' / file.name, file.read_bytes()[32:])
     file.write_bytes(old + file.read_bytes()[32:])
     assert (misses(), misses()) == (1, 0)
     file.unlink()
@@ -179,19 +179,19 @@ def test_what_no_longer_unpickles_is_compiled_again(cache, error):
     misses()
     (file,) = kept_files(cache)
     content = pickle.dumps(Raising(error))
-    file.write_bytes(kernel_files._SealedFiles._seal(file, content) + content)
+    file.write_bytes(kernel_files.SealedFiles.seal_of(file, content) + content)
     assert (misses(), misses()) == (1, 0)
 
 
 NO_SPACE = """
 import resource, sys
 import numpy as np
-from bvh_ros.tree import box_checks, checks
+from bvh_ros.tree import checks
 
 resource.setrlimit(resource.RLIMIT_FSIZE, (int(sys.argv[1]), -1))
 rows = np.array([[0.0, 1.0], [2.0, np.nan]])
 assert checks.first_not_finite(rows) == 1
-assert box_checks._first_no_box(rows, rows - [0.0, 1.0]) == 0
+assert checks.first_no_box(rows, rows - [0.0, 1.0]) == 0
 """
 
 
@@ -217,7 +217,7 @@ def test_a_disk_without_room_for_a_name(cache, monkeypatch):
     monkeypatch.setattr(kernel_cache.tempfile, 'gettempdir', full)
     monkeypatch.delenv('NUMBA_CACHE_DIR')
     monkeypatch.setenv('XDG_CACHE_HOME', str(cache))
-    kernel_cache._find_folder.cache_clear()
+    kernel_cache.find_folder.cache_clear()
     with pytest.warns(RuntimeWarning, match='No space left') as said:
         assert (misses(), misses()) == (1, 1)
     assert len(said) == 1
@@ -235,7 +235,7 @@ def test_two_processes_compile_the_same_at_once(tmp_path):
         assert (process.communicate(timeout=240)[1], process.returncode) == ('', 0)
     for file in kept_files(tmp_path):
         content = file.read_bytes()
-        assert content[:32] == kernel_files._SealedFiles._seal(file, content[32:])
+        assert content[:32] == kernel_files.SealedFiles.seal_of(file, content[32:])
 
 
 def test_the_folder_is_ours_alone(cache):
@@ -269,7 +269,7 @@ def test_an_unsafe_folder_is_not_used(cache, monkeypatch, part, how):
         os.chown(unsafe, 20001, -1)
     else:
         monkeypatch.setattr(os, 'geteuid', lambda: 20001)
-    kernel_cache._find_folder.cache_clear()
+    kernel_cache.find_folder.cache_clear()
     with pytest.warns(RuntimeWarning, match=re.escape(f'not kept: {unsafe}')) as said:
         assert (misses(), misses()) == (1, 1)
     assert len(said) == 1
@@ -282,7 +282,7 @@ def test_an_unsafe_folder_is_not_used(cache, monkeypatch, part, how):
     monkeypatch.setattr(kernel_cache.tempfile, 'gettempdir', lambda: str(spare))
     if how == 'owner' and os.getuid():
         return
-    kernel_cache._find_folder.cache_clear()
+    kernel_cache.find_folder.cache_clear()
     with pytest.warns(RuntimeWarning, match=re.escape(f'kept in {spare}/bvh_ros-{os.getuid()}')):
         assert (misses(), misses()) == (1, 0)
 

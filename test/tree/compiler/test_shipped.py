@@ -97,7 +97,7 @@ def start_from(tmp_path, monkeypatch):
 
 def forget():
     shipped.find.cache_clear()
-    kernel_cache._find_folder.cache_clear()
+    kernel_cache.find_folder.cache_clear()
 
 
 def test_all_may_read_it_and_only_its_maker_writes(made):

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import pytest
 
-from bvh_ros.tree.compiler import worker
+from bvh_ros.tree.compiler import workers
 from bvh_ros.tree.compiler.entry_lock import EntryLock
 from bvh_ros.tree.compiler.workers import MOST, Workers, fork_ahead, processors, run_beside
 
@@ -67,8 +67,8 @@ def test_where_every_worker_ends_the_rest_is_told():
 
 @pytest.mark.filterwarnings('ignore:.*fork')
 def test_what_was_imported_here_is_there_in_processes_that_were_forked_ahead(monkeypatch):
-    monkeypatch.setattr(worker, 'mark', 'made here', raising=False)
-    look = partial(exec, 'from bvh_ros.tree.compiler import worker; worker.mark', {})
+    monkeypatch.setattr(workers, 'mark', 'made here', raising=False)
+    look = partial(exec, 'from bvh_ros.tree.compiler import workers; workers.mark', {})
     fork_ahead()
     calls = [look] * min(processors(), MOST)
     assert {*results(Workers(calls), len(calls)).values()} == {''}

@@ -13,6 +13,7 @@ from tree.motion.worlds import Random
 from tree.reference import effort, is_within_2_ulp, seen
 
 from bvh_ros import ALL, DynamicBVH
+from bvh_ros.tree.access import OpenTree
 
 pytestmark = pytest.mark.slow  # kernels of its own
 
@@ -77,9 +78,9 @@ def drifting(rng: Random, ndim: int, kind: str, count: int) -> tuple[World, Rays
     return world, Rays(origins, directions, limits, begin + span * fraction, span * paces)
 
 
-def drift_of(tree: DynamicBVH) -> tuple[float, ...] | None:
+def drift_of(tree: OpenTree) -> tuple[float, ...] | None:
     """At which what is swept goes, None if nothing is."""
-    sweep = tree._motion._cache.sweep
+    sweep = tree.motion.sweep
     return None if sweep is None else tuple(sweep.leaves.records['lo'][-1].tolist())
 
 

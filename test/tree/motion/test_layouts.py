@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from bvh_ros import DynamicBVH
-from bvh_ros.tree.open_tree import OpenTree
+from bvh_ros.tree.access import OpenTree
 
 
 def fast_world(rng, ndim):

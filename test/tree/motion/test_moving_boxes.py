@@ -12,11 +12,12 @@ from tree.motion.worlds import stopping, worlds
 from tree.reference import INSIDE, LARGEST, effort, is_within_2_ulp, seen
 
 from bvh_ros import DynamicBVH
+from bvh_ros.tree.access import OpenTree
 from bvh_ros.tree.motion.queries import MotionQueries
 
 
-def tree_of(world: World, margin: float = 0.0, left: float = math.inf) -> DynamicBVH:
-    tree = DynamicBVH.from_boxes(world.lo, world.hi, margin=margin)
+def tree_of(world: World, margin: float = 0.0, left: float = math.inf) -> OpenTree:
+    tree = OpenTree.from_boxes(world.lo, world.hi, margin=margin)
     tree._motion = MotionQueries(tree.ndim, tree._tree_of_boxes, left=left)
     moving = world.velocities.any(axis=1)
     ids = tree.ids()[moving]

@@ -12,13 +12,14 @@ from tree.motion.worlds import Random, stopping
 from tree.reference import effort, is_within_2_ulp, seen
 
 from bvh_ros import DynamicBVH
+from bvh_ros.tree.access import OpenTree
 
 pytestmark = pytest.mark.slow  # kernels of its own
 RAYS = 64  # as many are worth a snapshot of few boxes
 
 
-def is_swept(tree: DynamicBVH) -> bool:
-    return tree._motion._cache.sweep is not None
+def is_swept(tree: OpenTree) -> bool:
+    return tree.motion.sweep is not None
 
 
 @pytest.mark.parametrize('stops', [False, True])

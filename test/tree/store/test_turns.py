@@ -13,7 +13,7 @@ from tree.compiler.alone import run_alone
 from tree.reference import effort
 
 from bvh_ros import DynamicBVH
-from bvh_ros.tree.open_tree import OpenTree
+from bvh_ros.tree.access import OpenTree
 
 # Boxes stand in one of two places, all at once. Further ones come and go, and make the arrays
 # grow, where masks hide them. So each answer is that for one of the two places.
