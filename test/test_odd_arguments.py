@@ -100,7 +100,9 @@ SHAPES: dict[str, dict[str, Any]] = {
 }  # fmt: skip
 
 
-MESH: dict[str, dict[str, Any]] = {'__init__': {'triangles': box_of_triangles((1, 1, 1))}}
+MESH: dict[str, dict[str, Any]] = {
+    '__init__': {'triangles': box_of_triangles((1, 1, 1)), 'faces': None, 'solid': None}
+}
 
 # What other rooms call, with what the tree or the scene gave them.
 INSIDE = {

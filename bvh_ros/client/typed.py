@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from array import array
 from collections.abc import Callable
+from importlib import import_module
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -73,7 +74,7 @@ def clearances(
     frame_id: str,
 ) -> Typed:
     """Return a question about n shapes; ValueError where an argument does not fit."""
-    kind, given = _services().Clearance, as_shapes(shapes)
+    kind, given = _service('Clearance'), as_shapes(shapes)
     request, count = _about(kind, given, mask, frame_id), len(given.kind)
     request.max_distances = _doubles(messages.numbers_of('max_distance', max_distance, count))
     request.signed_distances = checks.flag('signed', signed)
@@ -93,7 +94,7 @@ def sweeps(
     frame_id: str,
 ) -> Typed:
     """Return a question about n ways; ValueError where an argument does not fit."""
-    kind, given = _services().Sweep, as_shapes(shapes)
+    kind, given = _service('Sweep'), as_shapes(shapes)
     request, count = _about(kind, given, mask, frame_id), len(given.kind)
     request.goal_positions = _doubles(messages.places_of('goal_positions', goal_positions, count))
     if goal_orientations is not None:
@@ -105,12 +106,11 @@ def sweeps(
     return Typed(kind, 'query/sweep', request, _reader(Sweeps, count), 1e-3 * count)
 
 
-def _services() -> Any:
+def _service(name: str) -> Any:
     try:
-        from bvh_msgs import srv
-    except ImportError:
+        return getattr(import_module('bvh_msgs.srv'), name)
+    except (ImportError, AttributeError):  # or it is a folder of sources
         raise BvhError('this needs the package bvh_msgs, here and where the node runs') from None
-    return srv
 
 
 def _about(kind: Any, shapes: Shapes, mask: ArrayLike, frame_id: str) -> Any:

@@ -181,7 +181,7 @@ CLOSE = 2.0**-40  # of a distance: far more than what rounds it
 @lean_kernel
 def is_within(vertices, corner, origin, direction, crossing, reach):
     """Whether a line crosses a triangle from its origin on up to a distance, exactly."""
-    if crossing.sign < 0.0 or abs(crossing.s - reach) > CLOSE * reach:
+    if crossing.sign < 0.0 or np.isinf(reach) or abs(crossing.s - reach) > CLOSE * reach:
         return crossing.sign >= 0.0 and crossing.s <= reach
     a, b, c = vertices[corner[0]], vertices[corner[1]], vertices[corner[2]]
     # The plane is met at s = (a - origin) . normal / direction . normal.

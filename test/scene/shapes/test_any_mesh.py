@@ -167,6 +167,9 @@ def test_rays_are_exact(name, power):
         assert np.array_equal(np.isfinite(found), np.isfinite(wanted))
         hit = np.isfinite(wanted)
         assert found[hit] == pytest.approx(wanted[hit], abs=1e-12)
+        endless = scene.raycast_many(starts * unit, (goals - starts) * unit).t
+        assert np.array_equal(endless[hit], found[hit])
+        assert (endless[~hit] > 1.0).all()
         one = scene.raycast(starts[0] * unit, goals[0] * unit)
         assert (np.inf if one is None else one.t) == found[0]
 
