@@ -101,7 +101,7 @@ SHAPES: dict[str, dict[str, Any]] = {
 
 
 MESH: dict[str, dict[str, Any]] = {
-    '__init__': {'triangles': box_of_triangles((1, 1, 1)), 'faces': None, 'solid': None}
+    '__init__': {'triangles': np.eye(3), 'faces': [[0, 1, 2]], 'solid': None}
 }
 
 # What other rooms call, with what the tree or the scene gave them.

@@ -139,12 +139,12 @@ def test_rows_that_are_no_shape_are_refused_one_by_one(scene):
 
 
 def test_constructors(scene):
-    for bad in NOT_POINTS:
-        # Two coordinates are legal: those of a planar scene.
-        if bad is not None and not isinstance(bad, float) and bad not in ([1, 2], [[1, 2]]):
-            refused(scene, Shapes.boxes, bad, [1, 1, 1])
-            refused(scene, Shapes.of_meshes, [CUBE], bad)
-    for bad in ('x', [1, 2], MASKED[:, :2], [1j, 1, 1], {}):
+    # Two coordinates are those of a planar scene.
+    legal = 'None', '1.0', '[1, 2]', '[[1, 2]]'
+    for bad in [bad for bad in NOT_POINTS if str(bad) not in legal]:
+        refused(scene, Shapes.boxes, bad, [1, 1, 1])
+        refused(scene, Shapes.of_meshes, [CUBE], bad)
+    for bad in ('x', MASKED[:, :2], [1j, 1, 1], {}):
         refused(scene, Shapes.boxes, [[0, 0, 0]], bad)
     for bad in (5, 'x', [1, 2], [[1, 2, 3]], [[0, 0, 0, 1]] * 3):
         refused(scene, Shapes.boxes, [[0, 0, 0]], [1, 1, 1], bad)

@@ -625,19 +625,28 @@ DOUBTFUL = 2.0**-40  # of lengths about 1: a cross product below may be all roun
 
 def _corners(value: ArrayLike) -> Floats:
     """Triangles (m, 3, 3)."""
+    wanted = 'triangles must have shape (m, 3, 3), or be vertices with faces, not'
     if isinstance(value, np.ndarray) and value.shape[1:] != (3, 3):
-        raise ValueError(f'triangles must have shape (m, 3, 3), not {value.shape}')
+        raise ValueError(f'{wanted} {value.shape}')
     corners = checks.floats('triangles', value)
     if corners.ndim != 3 or corners.shape[1:] != (3, 3) or not len(corners):
-        raise ValueError(f'triangles must have shape (m, 3, 3), not {corners.shape}')
+        raise ValueError(f'{wanted} {corners.shape}')
     return corners
+
+
+MOST_VERTICES = 2**31 - 1  # a row of them is an int32
 
 
 def _indexed(vertices: ArrayLike, faces: ArrayLike) -> Floats:
     """Triangles of vertices (k, 3) and their rows (m, 3)."""
-    places = checks.floats('vertices', vertices)
-    if places.ndim != 2 or places.shape[1] != 3:
-        raise ValueError(f'vertices must have shape (k, 3), not {places.shape}')
+    wanted = 'triangles must be vertices of shape (k, 3) where there are faces, not'
+    if isinstance(vertices, np.ndarray) and vertices.shape[1:] != (3,):
+        raise ValueError(f'{wanted} {vertices.shape}')
+    if isinstance(vertices, np.ndarray) and len(vertices) > MOST_VERTICES:
+        raise ValueError(f'triangles must be at most {MOST_VERTICES} vertices')
+    places = checks.floats('triangles', vertices)
+    if places.ndim != 2 or places.shape[1] != 3 or not len(places):
+        raise ValueError(f'{wanted} {places.shape}')
     try:
         rows = np.asarray(faces)
         checks.refuse_masked(faces, rows)

@@ -161,18 +161,32 @@ def cross_triangle(vertices, corner, origin, direction, zero):
     total = u + v + w
     if total == 0.0:
         return cross_within_plane(a, b, c, origin, direction, zero)
-    axis = 0
-    for other in range(1, 3):
-        if abs(direction[other]) > abs(direction[axis]):
-            axis = other
-    base = a[axis] - origin[axis]
-    depth = base + ((b[axis] - a[axis]) * v + (c[axis] - a[axis]) * w) / total
+    s = distance_along(a, b, c, origin, direction)
     sign = side(origin, b, c, a, origin)
     sign = sign if total > 0.0 else -sign
-    s = depth / direction[axis]
     sign = 0.0 if sign == 0.0 else math.copysign(1.0, sign)
     s = 0.0 if sign == 0.0 else math.copysign(s, sign)
     return Crossing(s, sign, u != 0.0 and v != 0.0 and w != 0.0)
+
+
+@lean_kernel
+def distance_along(a, b, c, origin, direction):
+    """How far along a line its point in the plane of a triangle is, in units of its direction; no
+    nearer than the nearest corner, and no farther than the farthest.
+    """
+    height, slope, steepest = 0.0, 0.0, 0
+    for axis in range(3):
+        y, z = (axis + 1) % 3, (axis + 2) % 3
+        normal = (b[y] - a[y]) * (c[z] - a[z]) - (b[z] - a[z]) * (c[y] - a[y])
+        height += normal * (a[axis] - origin[axis])
+        slope += normal * direction[axis]
+        if abs(direction[axis]) > abs(direction[steepest]):
+            steepest = axis
+    first = (a[steepest] - origin[steepest]) / direction[steepest]
+    second = (b[steepest] - origin[steepest]) / direction[steepest]
+    third = (c[steepest] - origin[steepest]) / direction[steepest]
+    s = height / slope if slope != 0.0 else first
+    return min(max(s, min(first, second, third)), max(first, second, third))
 
 
 CLOSE = 2.0**-40  # of a distance: far more than what rounds it
