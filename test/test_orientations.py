@@ -88,3 +88,10 @@ def test_one_orientation_serves_for_all_rows() -> None:
     shape = Shapes.capsules([[0, 0, 0]], 0.2, 2)
     right = scene.overlap_shape_many(shape, places, every, want='count')
     assert np.array_equal(scene.overlap_shape_many(shape, places, turn, want='count'), right)
+
+
+def test_a_rotation_of_scipy_is_told_how_to_come_in() -> None:
+    turn = Rotation.from_rotvec([0.0, 0.0, 0.5])
+    with pytest.raises(ValueError, match='as_quat'):
+        Shapes.boxes([0, 0, 0], [1, 1, 1], turn)
+    assert len(Shapes.boxes([0, 0, 0], [1, 1, 1], turn.as_quat()).kind) == 1
