@@ -87,7 +87,7 @@ def floats(name: str, value: ArrayLike) -> Floats:
             raise TypeError('they are words')
         with np.errstate(over='ignore'):  # to inf, which is not finite
             return array.astype(np.float64)
-    except FOREIGN as error:
+    except FOREIGN:
         if hasattr(value, 'as_quat'):  # a Rotation of scipy
             error = TypeError('quaternions are x, y, z, w: give its as_quat()')
         raise ValueError(f'{name} must be real numbers: {error}') from None
