@@ -87,10 +87,11 @@ def floats(name: str, value: ArrayLike) -> Floats:
             raise TypeError('they are words')
         with np.errstate(over='ignore'):  # to inf, which is not finite
             return array.astype(np.float64)
-    except FOREIGN:
+    except FOREIGN as error:
+        reason: object = error
         if hasattr(value, 'as_quat'):  # a Rotation of scipy
-            error = TypeError('quaternions are x, y, z, w: give its as_quat()')
-        raise ValueError(f'{name} must be real numbers: {error}') from None
+            reason = 'quaternions are x, y, z, w: give its as_quat()'
+        raise ValueError(f'{name} must be real numbers: {reason}') from None
 
 
 def refuse_masked(value: Any, array: NDArray[Any]) -> None:
