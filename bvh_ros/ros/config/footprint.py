@@ -11,7 +11,10 @@ from collections.abc import Sequence
 from fractions import Fraction
 from typing import Any
 
-from bvh_ros.scene import Mesh, Shapes
+import numpy as np
+from numpy.typing import NDArray
+
+from bvh_ros.scene import AS_CONVEX, Shapes, mesh_of
 
 MOST_CORNERS = 200
 Corner = tuple[float, float]
@@ -49,7 +52,7 @@ def of_polygon(text: str, height: float, farthest: float) -> tuple[Shapes, ...]:
         corners.reverse()
     shapes = []
     for part in convex_parts(corners):
-        mesh = Mesh(_prism(part, height))
+        mesh = mesh_of(_prism(part, height), AS_CONVEX)
         shapes.append(Shapes.of_meshes([mesh], [0.0, 0.0, 0.0]))
     return tuple(shapes)
 
@@ -185,7 +188,7 @@ def _joined(one: list[Corner], other: list[Corner]) -> list[Corner] | None:
     return None
 
 
-def _prism(corners: Sequence[Corner], height: float) -> list[Any]:
+def _prism(corners: Sequence[Corner], height: float) -> NDArray[np.float64]:
     """Triangles of a prism."""
     low = [(x, y, 0.0) for x, y in corners]
     high = [(x, y, height) for x, y in corners]
@@ -194,4 +197,4 @@ def _prism(corners: Sequence[Corner], height: float) -> list[Any]:
         triangles += [(low[0], low[i + 1], low[i]), (high[0], high[i], high[i + 1])]
     for i in range(len(corners)):
         triangles += [(low[i - 1], low[i], high[i]), (low[i - 1], high[i], high[i - 1])]
-    return triangles
+    return np.array(triangles, np.float64)
