@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...scene import ShapeKind, Shapes
-from ...scene.distance.narrow_phase import gap as distance_of
+from ...scene.distance.narrow_phase import gap_convex as distance_of
 from ...scene.distance.narrow_phase import near_pairs
 from ...scene.shapes.shape import as_shapes, canonicalise, rotations, unit_quaternions
 from ..libraries import collision_objects

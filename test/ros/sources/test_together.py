@@ -159,9 +159,13 @@ def test_what_came_before_a_clear_goes(world, messages, ros):
     node, _ = ros
     topic = f'{world.namespace}/bvh/obstacles'
     publisher = node.create_publisher(MarkerArray, topic, QoSProfile(depth=DEPTH))
-    # Messages before both ends have found each other arrive with a later heartbeat.
-    publisher.publish(MarkerArray(markers=[messages.marker(0, (0, 0, 0))]))
-    world.until(lambda: world.everything() == {'a/0'})
+    first = MarkerArray(markers=[messages.marker(0, (0, 0, 0))])
+
+    def is_heard():
+        publisher.publish(first)  # again: before both ends have found each other it is lost
+        return world.everything() == {'a/0'}
+
+    world.until(is_heard)
     for turn in range(20):
         for k in range(40):
             publisher.publish(MarkerArray(markers=[messages.marker(k, (k, turn, 0))]))

@@ -2,10 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """What the decorators refuse."""
 
-import numpy as np
 import pytest
 
-from bvh_ros.scene.cast.mesh import shear
+from bvh_ros.scene.cast.query import no_hit
 from bvh_ros.tree import checks
 from bvh_ros.tree.compiler import inside
 from bvh_ros.tree.compiler.compiling import entry_point, inlined, kernel, lean_kernel
@@ -16,7 +15,7 @@ def test_what_a_kernel_returns_is_made_without_python():
     if inside.parts() is None:
         pytest.skip('there are entry points only with the inside of numba')
     with pytest.raises(TypeError, match='plain tuple'):
-        entry_point(shear, np.zeros(3))
+        entry_point(no_hit)
 
 
 def test_a_kernel_is_inlined_where_it_says_so_only():
