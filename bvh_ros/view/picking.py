@@ -44,7 +44,7 @@ class Following:
     def go(self, step: Floats) -> None:
         """Move all cameras, in units of the page."""
         for number, client in self._server.get_clients().items():
-            place, target = _view(client.camera)
+            place, target = view_of(client.camera)
             targets = self._targets.setdefault(number, deque([target], REMEMBERED))
             reach = SAME * np.linalg.norm(target - place)
             if np.linalg.norm(np.array(targets) - target, axis=1).min() > reach:
@@ -58,7 +58,7 @@ class Following:
             targets.append(aim)
 
 
-def _view(camera: viser.CameraHandle) -> tuple[Floats, Floats]:
+def view_of(camera: viser.CameraHandle) -> tuple[Floats, Floats]:
     """Where a camera is, and where it looks, both of one report."""
     while True:
         target, place = camera.look_at, camera.position
