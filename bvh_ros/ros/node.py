@@ -5,6 +5,7 @@
 from __future__ import annotations
 
 import argparse
+import ctypes
 import sys
 from collections.abc import Callable
 
@@ -22,6 +23,8 @@ from bvh_ros.ros.spinning import Interrupts, SturdyExecutor
 from bvh_ros.ros.texts import as_line
 
 WRONG_CONFIGURATION = 2  # exit code
+M_TRIM_THRESHOLD, M_MMAP_MAX = -1, -4  # of mallopt(3)
+KEPT, LARGE = 256 << 20, 16 << 20  # bytes
 
 
 class BvhNode(Node):
@@ -43,6 +46,7 @@ class BvhNode(Node):
 def run(executable: str, create: Callable[[], Node], args: list[str] | None) -> int:
     """Create a node and spin it until Ctrl-C or SIGTERM; return the exit code."""
     prepare()
+    keep_memory()
     interrupts = Interrupts()
     try:
         with interrupts.while_starting():
@@ -58,6 +62,19 @@ def run(executable: str, create: Callable[[], Node], args: list[str] | None) -> 
         rclpy.try_shutdown()
     interrupts.end_if_received()
     return 0
+
+
+def keep_memory() -> None:
+    """Let the allocator keep freed memory, up to 256 MB, and have some before the first message.
+
+    Taking a message of 16 MB allocates it three times. A new page costs up to 4 us, on a virtual
+    machine 40 ms in all; with pages that are kept the message takes 7 ms.
+    """
+    mallopt = getattr(ctypes.CDLL(None), 'mallopt', None)  # the GNU C library has it
+    if mallopt is not None:
+        mallopt(M_TRIM_THRESHOLD, KEPT)
+        mallopt(M_MMAP_MAX, 0)  # else what is larger than 32 MB is never kept
+        _touched = [bytearray(LARGE) for _ in range(3)]
 
 
 def _start(executable: str, create: Callable[[], Node], args: list[str] | None) -> Node:
