@@ -3,8 +3,8 @@
 """Draw every picture that the README and docs/ show.
 
 Run: PYTHONPATH=test python .ci/pictures.py [FOLDER] [--quick] [--only NAME...]. Without a folder
-those in resource/ are replaced. --quick draws small scenes, which shows that each can still be
-drawn. A picture that needs what is missing here (a browser, a recording) is left out, and named.
+those of this repository are replaced. --quick draws small scenes, which shows that each can still
+be drawn. A picture that needs what is missing (a browser, a recording) is left out, and named.
 """
 
 import argparse
@@ -23,6 +23,7 @@ from typing import Any
 
 import numpy as np
 from PIL import Image
+from query_pictures import PICTURES, Picture
 from view import chromium, pages
 
 from bvh_ros import scenarios
@@ -120,6 +121,16 @@ def draw_view(file: Path, quick: bool) -> str:
     return ''
 
 
+def of_query(picture: Callable[[], Picture]) -> Draw:
+    """The picture of a query."""
+
+    def draw(file: Path, quick: bool) -> str:
+        picture().save(file)
+        return ''
+
+    return draw
+
+
 def draw_demo(file: Path, quick: bool) -> str:
     """The warehouse as it moves."""
     if chromium.find() is None:
@@ -140,31 +151,42 @@ def draw_demo(file: Path, quick: bool) -> str:
 
 
 DRAWN = {
-    'demo.webp': draw_demo,
-    'door.png': of_example(EXAMPLES / 'load_through_a_door.py', '--picture'),
-    'edge_resolutions.png': of_report('edge_resolutions', edges.resolutions),
-    'error_adversarial.png': of_report('error_adversarial', worlds.adversarial_scene),
-    'prediction.png': of_example(EXAMPLES / 'predicted_traffic.py', TRACKS, '--plot'),
-    'view.png': draw_view,
+    'resource/demo.webp': draw_demo,
+    'resource/door.png': of_example(EXAMPLES / 'load_through_a_door.py', '--picture'),
+    'resource/edge_resolutions.png': of_report('edge_resolutions', edges.resolutions),
+    'resource/error_adversarial.png': of_report('error_adversarial', worlds.adversarial_scene),
+    'resource/prediction.png': of_example(EXAMPLES / 'predicted_traffic.py', TRACKS, '--plot'),
+    'resource/view.png': draw_view,
+    **{f'docs/pictures/{each.__name__}.svg': of_query(each) for each in PICTURES},
 }
+SHOWN = re.compile(r'\]\(([^)#]+\.(?:png|svg|webp))\)')
+
+
+def shown() -> set[str]:
+    """The pictures that pages show, as paths from the root."""
+    paths = [
+        (page.parent / name).resolve()
+        for page in (ROOT / 'README.md', *ROOT.glob('docs/*.md'))
+        for name in SHOWN.findall(page.read_text('utf-8'))
+    ]
+    return {path.relative_to(ROOT).as_posix() for path in paths}
 
 
 def main() -> int:
     """Draw; fail if a page shows a picture that is not drawn here."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument('folder', type=Path, nargs='?', default=ROOT / 'resource')
+    parser.add_argument('folder', type=Path, nargs='?', default=ROOT)
     parser.add_argument('--quick', action='store_true')
     parser.add_argument('--only', nargs='+', choices=DRAWN, default=[*DRAWN], metavar='NAME')
     options = parser.parse_args()
-    options.folder.mkdir(parents=True, exist_ok=True)
-    texts = [page.read_text('utf-8') for page in (ROOT / 'README.md', *ROOT.glob('docs/*.md'))]
-    shown = {name for text in texts for name in re.findall(r'\]\([./]*resource/([^)]+)\)', text)}
-    if shown != set(DRAWN):
-        print(f'shown, or drawn, but not both: {", ".join(sorted(shown ^ set(DRAWN)))}')
+    if shown() != set(DRAWN):
+        print(f'shown, or drawn, but not both: {", ".join(sorted(shown() ^ set(DRAWN)))}')
         return 1
     for name in options.only:
-        absent = DRAWN[name](options.folder / name, options.quick)
-        print(f'{name} is left out: {absent}' if absent else f'drawn: {options.folder / name}')
+        file = options.folder / name
+        file.parent.mkdir(parents=True, exist_ok=True)
+        absent = DRAWN[name](file, options.quick)
+        print(f'{name} is left out: {absent}' if absent else f'drawn: {file}')
     return 0
 
 

@@ -131,7 +131,7 @@ class OverlapQueries:
         if self._store.change.unfinished:
             self._store.change.require_none()
         planar = self._store.planar
-        query, hulls = shape_query(as_one_shape(shape, planar), tolerance, planar)
+        query, hulls = shape_query(shape, tolerance, planar)
         if self._timed.time_matters(at, None, 1):
             return self._then(query, hulls, mask, None, at)
         return self._now(query, hulls, mask, None)

@@ -319,7 +319,7 @@ def _row_by_row(given: Shapes, count: int) -> Shapes:
 
 def shape_query(shape: Shapes, tolerance: float, planar: bool) -> tuple[QueryShape, Hulls | None]:
     """`query_rows` of one row, as a query of its own."""
-    given = as_one_shape(shape)
+    given = as_one_shape(shape, planar)
     rows, hulls = query_rows(given, checks.limit('tolerance', tolerance), ALL, planar)
     return rows.one(0), hulls
 

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..orientations import quaternions
-from ..scene import NO_NODE, Scene, SceneHit, ShapeKind, Shapes
-from ..scene.inspection import outlines
-from ..scene.shapes.shape import as_shapes
+from bvh_ros.orientations import quaternions
+from bvh_ros.scene import NO_NODE, Scene, SceneHit, ShapeKind, Shapes
+from bvh_ros.scene.inspection import outlines
+from bvh_ros.scene.shapes.shape import as_shapes
 
 BLUE, ORANGE, GREEN, GREY, LIGHT = '#0072B2', '#D55E00', '#009E73', '#9AA3AD', '#DDE2E7'
 WIDTH, HEIGHT = 10.0, 5.0  # m, of the world
@@ -270,13 +270,3 @@ def lidar() -> Picture:
 PICTURES: tuple[Callable[[], Picture], ...] = (
     ray, swept_ball, overlap, nearest, clearance, at_a_time, views, turning_sweep, lidar,
 )  # fmt: skip
-
-
-def draw(folder: Path) -> list[Path]:
-    """Draw all of them as SVG; return the files."""
-    folder.mkdir(parents=True, exist_ok=True)
-    files = []
-    for make in PICTURES:
-        files.append(folder / f'{make.__name__}.svg')
-        make().save(files[-1])
-    return files
