@@ -406,7 +406,7 @@ class BvhClient:
         frame_id, timeout
             As of `raycast_many`, which says what is raised, too.
         between : bool
-            Check the ways between the poses, too: for a node whose `path_between` is on. The
+            Check the motion between the poses, too: for a node whose `path_between` is on. The
             footprint goes along straight lines and turns at constant rate; see
             `Scene.sweep_shape`. One node only.
 
@@ -425,9 +425,9 @@ class BvhClient:
         BvhError
             Also if `between` is asked of a node whose `path_between` is off.
         """
-        ways = checks.flag('between', between)
-        batch = messages.poses(positions, orientations, at, between=ways)
-        if ways:
+        between = checks.flag('between', between)
+        batch = messages.poses(positions, orientations, at, between=between)
+        if between:
             self._only()
         answers: Near | PathHits = self._answers(batch, frame_id, timeout)
         return answers
@@ -476,8 +476,8 @@ class BvhClient:
             If an argument has the wrong form, or several nodes are asked.
         """
         node = self._only()
-        asked = typed.clearances(shapes, max_distance, mask, signed, at, frame_id)
-        clearances: Clearances = node.typed_answers(asked, self._seconds(timeout))
+        question = typed.clearances(shapes, max_distance, mask, signed, at, frame_id)
+        clearances: Clearances = node.typed_answers(question, self._seconds(timeout))
         return clearances
 
     def sweep_shape_many(
@@ -520,11 +520,11 @@ class BvhClient:
             `obstacles`, `t` and `free_until` (n,), `points` and `normals` (n, 3).
         """
         node = self._only()
-        asked = typed.sweeps(
+        question = typed.sweeps(
             *(shapes, goal_positions, goal_orientations, tolerance, mask, resolution),
             *(at, until, frame_id),
         )
-        sweeps: Sweeps = node.typed_answers(asked, self._seconds(timeout))
+        sweeps: Sweeps = node.typed_answers(question, self._seconds(timeout))
         return sweeps
 
     def raycast_many_async(

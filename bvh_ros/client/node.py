@@ -134,7 +134,7 @@ class OneNode:
         question = self.batch_question(nothing)
         # An error is an answer, too.
         if not self._waiting.until(question.answer.done, timeout, [question]):
-            raise BvhTimeoutError(f'{question.asked} did not answer within {timeout:g} s')
+            raise BvhTimeoutError(f'{question.name} did not answer within {timeout:g} s')
         question.drop()
 
     def hits(self, query: str, request: GetPlan.Request, timeout: float) -> list[Hit]:
@@ -148,19 +148,19 @@ class OneNode:
         """Return the answers to a batch."""
         return self._waiting.result(self.batch_question(batch, frame_id, stamp), timeout)
 
-    def typed_answers(self, asked: Typed, timeout: float) -> Any:
+    def typed_answers(self, question: Typed, timeout: float) -> Any:
         """Return the answers of a typed service; BvhTimeoutError if the node does not offer it."""
         deadline = time.monotonic() + timeout
         with self._opening:
-            if asked.query not in self._services:
-                self._services[asked.query] = self._service(asked.kind, asked.query)
-        service = self._services[asked.query]
+            if question.query not in self._services:
+                self._services[question.query] = self._service(question.kind, question.query)
+        service = self._services[question.query]
         if not self._waiting.until(service.reliable.service_is_ready, timeout):
             raise BvhTimeoutError(
-                f"no '{self.name}/{asked.query}' after {timeout:g} s: the node needs the package "
-                "bvh_msgs, and its parameter 'batch'"
+                f"no '{self.name}/{question.query}' after {timeout:g} s: the node needs the "
+                "package bvh_msgs, and its parameter 'batch'"
             )
-        call = _Call(service, asked.request, asked.read, None, asked.work)
+        call = _Call(service, question.request, question.read, None, question.work)
         return self._waiting.result(call, left(deadline))
 
     def question(

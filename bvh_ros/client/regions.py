@@ -75,7 +75,7 @@ class Layout(NamedTuple):
 
 
 class Part(NamedTuple):
-    """Some rows of a batch that one node is asked."""
+    """Some rows of a batch that one node is questions."""
 
     region: int
     rows: NDArray[np.int64]
@@ -158,8 +158,8 @@ class SeveralNodes:
         def work(layout: Layout, deadline: float) -> list[Hit]:
             if not layout.coverage.covers(box)[0]:
                 raise BvhError(LEAVES)
-            met = layout.coverage.owners(box)[0]
-            return _merged(self._replies(query, request, met, deadline), distance)
+            regions = layout.coverage.owners(box)[0]
+            return _merged(self._replies(query, request, regions, deadline), distance)
 
         return self._with_layout(work, timeout)
 
@@ -171,8 +171,8 @@ class SeveralNodes:
 
         def work(layout: Layout, deadline: float) -> list[Hit]:
             reach = _float32(request.tolerance) or math.inf
-            met = layout.coverage.owners(_box(place, place, reach))[0]
-            hits = _merged(self._replies('nearest', request, met, deadline), distance)
+            regions = layout.coverage.owners(_box(place, place, reach))[0]
+            hits = _merged(self._replies('nearest', request, regions, deadline), distance)
             if len(hits) >= layout.nearest_limit:
                 hits = hits[: layout.nearest_limit]
                 reach = distance(hits[-1])
@@ -268,7 +268,7 @@ class SeveralNodes:
             answer = self._waiting.result(part.question, 0.0)
         except BvhTimeoutError:
             self._silent_until[part.region] = time.monotonic() + SILENT
-            raise BvhTimeoutError(f'no answer from {part.question.asked}') from None
+            raise BvhTimeoutError(f'no answer from {part.question.name}') from None
         self._silent_until.pop(part.region, None)
         return answer
 
@@ -351,30 +351,30 @@ class Rows(NamedTuple):
 
 
 def _rows(batch: Batch, layout: Layout) -> Rows:
-    asked, count = batch.asked, len(batch)
-    if isinstance(asked, Rays):  # a distance is a t
-        rays, radii = asked, np.zeros(1) if asked.radii is None else asked.radii
+    questions, count = batch.questions, len(batch)
+    if isinstance(questions, Rays):  # a distance is a t
+        rays, radii = questions, np.zeros(1) if questions.radii is None else questions.radii
 
         def around_rays(t: Floats) -> Box:
             return swept(rays.origins, rays.directions, t, radii)
 
         return Rows(query_clouds.fault(rays)[0], rays.t_max, around_rays)
-    places = (asked.places, asked.places)
-    if isinstance(asked, Points):
-        bad = query_clouds.fault(asked)[0]
-        return Rows(bad, asked.reaches, lambda distances: grown(places, distances))
-    if isinstance(asked, Boxes):  # whatever touches a box lies around all of it
-        half = asked.sizes * 0.5
+    places = (questions.places, questions.places)
+    if isinstance(questions, Points):
+        bad = query_clouds.fault(questions)[0]
+        return Rows(bad, questions.reaches, lambda distances: grown(places, distances))
+    if isinstance(questions, Boxes):  # whatever touches a box lies around all of it
+        half = questions.sizes * 0.5
         with np.errstate(over='ignore', invalid='ignore'):
             ball = np.nextafter(np.linalg.norm(half, axis=1), np.inf)[:, None]
-            half = np.where((asked.turns[:, :3] != 0.0).any(axis=1)[:, None], ball, half)
-            box = grown(grown(places, half), asked.tolerances)
-        bad = query_clouds.fault(asked)[0]
+            half = np.where((questions.turns[:, :3] != 0.0).any(axis=1)[:, None], ball, half)
+            box = grown(grown(places, half), questions.tolerances)
+        bad = query_clouds.fault(questions)[0]
         return Rows(bad, np.zeros(count), lambda _: box)
     footprint = layout.footprint()  # edge lengths of a box, or the radius of a ball
     radius = footprint[0] if len(footprint) == 1 else float(np.linalg.norm(footprint)) * 0.5
     reach = np.nextafter(radius, np.inf)
-    bad = np.logical_not(np.isfinite(np.hstack(asked)).all(axis=1))
+    bad = np.logical_not(np.isfinite(np.hstack(questions)).all(axis=1))
 
     def around_poses(distances: Floats) -> Box:
         return grown(grown(places, reach), np.maximum(distances, 0.0))

@@ -73,7 +73,7 @@ class Question:
 
     Parameters
     ----------
-    asked : str
+    name : str
         The service or topic, for people.
     patience : Patience
         Of the questions of this kind.
@@ -81,8 +81,8 @@ class Question:
         Runs the callbacks of the answer; without one, the thread that brings the answer does.
     """
 
-    def __init__(self, asked: str, patience: Patience, executor: Executor | None = None) -> None:
-        self.asked = asked
+    def __init__(self, name: str, patience: Patience, executor: Executor | None = None) -> None:
+        self.name = name
         self.answer = Future(executor=executor)
         self._patience = patience
         self._count, self._wait_for, self._asked_at = 0, 0.0, -math.inf
@@ -212,7 +212,7 @@ class Waiting:
             results = []
             for question in questions:
                 if not question.answer.done():
-                    raise BvhTimeoutError(f'{question.asked} did not answer within {timeout:g} s')
+                    raise BvhTimeoutError(f'{question.name} did not answer within {timeout:g} s')
                 results.append(question.answer.result())
             return results
         finally:

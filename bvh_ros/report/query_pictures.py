@@ -28,10 +28,10 @@ WALK = [0.0, -1.4]  # m/s, of the person where there is time
 FOOTPRINT = [1.1, 0.7]  # m
 
 
-def world(walks: bool = False) -> Scene:
-    """The obstacles of all pictures; if the person `walks`, it has a velocity."""
+def world(moving: bool = False) -> Scene:
+    """The obstacles of all pictures; a `moving` person has a velocity."""
     scene = Scene(planar=True)
-    speeds = [[0.0, 0.0]] * 3 + [WALK] if walks else None
+    speeds = [[0.0, 0.0]] * 3 + [WALK] if moving else None
     masks = [STATIC, STATIC, STATIC, MOVING]
     scene.update('map', NAMES, OBSTACLES, stamp=0, velocities=speeds, categories=masks)
     return scene
@@ -96,14 +96,14 @@ class Picture:
 
 
 def shadows(shapes: Shapes) -> list[Any]:
-    """The outlines (k, 2) of shapes as seen from above."""
+    """The outlines (k, 2) of shapes from above."""
     return outlines(as_shapes(shapes, planar=True))
 
 
-def met(hit: SceneHit | None) -> SceneHit:
+def required(hit: SceneHit | None) -> SceneHit:
     """A hit; without one the picture would show nothing."""
     if hit is None:
-        raise RuntimeError('the query of this picture meets nothing')
+        raise RuntimeError('the query of this picture finds nothing')
     return hit
 
 
@@ -113,7 +113,7 @@ def met(hit: SceneHit | None) -> SceneHit:
 def ray() -> Picture:
     """The first obstacle on a segment, and a segment that is free."""
     scene, start, goal = world(), [0.6, 0.9], [9.5, 2.5]
-    hit, free = met(scene.raycast(start, goal)), [9.5, 0.4]
+    hit, free = required(scene.raycast(start, goal)), [9.5, 0.4]
     picture = Picture('scene.raycast(start, goal)', [hit.name])
     picture.line(start, hit.point, BLUE)
     picture.line(hit.point, goal, BLUE, linestyle=':', linewidth=1.0)
@@ -132,7 +132,7 @@ def swept_ball() -> Picture:
     """A ball that goes along a segment."""
     scene, radius = world(), 0.5
     start, goal = np.array([0.8, 2.6]), np.array([9.2, 2.6])
-    hit = met(scene.raycast(start, goal, radius))
+    hit = required(scene.raycast(start, goal, radius))
     centre = start + hit.t * (goal - start)
     picture = Picture('scene.raycast(start, goal, radius=0.5)', [hit.name])
     for side in (-radius, radius):
@@ -196,10 +196,10 @@ def clearance() -> Picture:
 
 
 def at_a_time() -> Picture:
-    """A ball that drives while a person walks across its way."""
-    scene, radius, seconds = world(walks=True), 0.35, 6.0
+    """A ball that drives while a person walks across its path."""
+    scene, radius, seconds = world(moving=True), 0.35, 6.0
     start, goal = np.array([0.7, 0.8]), np.array([6.7, 0.8])
-    hit = met(scene.raycast(start, goal, radius, at=0.0, until=seconds))
+    hit = required(scene.raycast(start, goal, radius, at=0.0, until=seconds))
     meeting = hit.t * seconds
     picture = Picture('scene.raycast(start, goal, 0.35, at=0.0, until=6.0)', [])
     for then in (*np.arange(0.0, meeting, 1.0), meeting):
@@ -218,10 +218,10 @@ def at_a_time() -> Picture:
 
 
 def views() -> Picture:
-    """One ray, asked with two masks."""
+    """One ray with two masks."""
     scene, start, goal = world(), np.array([0.6, 3.9]), np.array([9.5, 3.3])
-    every = met(scene.raycast(start, goal))
-    static = met(scene.raycast(start, goal, mask=STATIC))
+    every = required(scene.raycast(start, goal))
+    static = required(scene.raycast(start, goal, mask=STATIC))
     picture = Picture('scene.raycast(start, goal, mask=STATIC)', [static.name], (every.name,))
     picture.line(start, static.point, BLUE)
     picture.spot(every.point, GREY)
@@ -234,11 +234,11 @@ def views() -> Picture:
 
 
 def turning_sweep() -> Picture:
-    """A load that turns on its way: both poses are free, the way is not."""
+    """A load that turns as it moves: both poses are free, the motion is not."""
     scene = world()
     load = Shapes.boxes([2.6, 1.5], [2.4, 0.4], quaternions(yaw=0.2))
     goal, turned = [4.0, 3.3], quaternions(yaw=2.2)
-    hit = met(scene.sweep_shape(load, goal, turned))
+    hit = required(scene.sweep_shape(load, goal, turned))
     picture = Picture('scene.sweep_shape(load, goal, turned)', [hit.name])
     step = np.subtract(goal, load.position[0])
     for share in np.linspace(0.0, 1.0, 9):

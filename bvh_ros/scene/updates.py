@@ -57,11 +57,11 @@ def _near(region: Region, rows: Rows, reach: Floats | None) -> NDArray[np.bool_]
     return np.asarray(((rows.lo - more <= hi) & (rows.hi + more >= lo)).all(axis=1))
 
 
-# ---- Velocities of the rows of an update: as they are told, or as somebody follows obstacles.
+# ---- Velocities of the rows of an update: given, or estimated by following the obstacles.
 
 
 class Sighting(NamedTuple):
-    """Where n obstacles were told to be."""
+    """Reported positions of n obstacles."""
 
     places: Floats
     """Shape (n, 3), m."""
@@ -70,7 +70,7 @@ class Sighting(NamedTuple):
 
 
 class Follow(Protocol):
-    """Tells velocities from successive updates, see `tracking`."""
+    """Estimates velocities from successive updates, see `tracking`."""
 
     @property
     def max_speed(self) -> float:
@@ -79,7 +79,7 @@ class Follow(Protocol):
     def __call__(
         self, slots: Slots, handles: NDArray[np.int64], before: Sighting, now: Sighting, /
     ) -> Floats:
-        """Velocities, (n, 3) m/s, of obstacles from where they were told to be."""
+        """Velocities, (n, 3) m/s, of obstacles from two reports of their positions."""
 
 
 def speeds_of(
@@ -89,16 +89,16 @@ def speeds_of(
     count, ndim = len(valid.reasons.good), store.tree.ndim
     if callable(given) and hasattr(given, 'max_speed'):
         return _followed(store, given, valid.known, count), valid
-    told: Any = given
-    rows = checks.rows('velocities', told, 3, count, store.planar)
+    velocities: Any = given
+    rows = checks.rows('velocities', velocities, 3, count, store.planar)
     wrong = np.logical_not(np.isfinite(rows).all(axis=1))
     valid = _without(valid, wrong, 'its velocity is not finite')
     return np.ascontiguousarray(rows[:, :ndim]), valid
 
 
 def reach_of(store: Obstacles, given: ArrayLike | Follow, speeds: Floats) -> Floats:
-    """How far along each axis rows may be from where they are told to be, m, at times that may be
-    asked for. Whoever is followed is seen before its velocity is known.
+    """How far (m) along each axis rows may be from their reported positions, at any time that a
+    query may name. A followed obstacle is reported before its velocity is known.
     """
     fastest = np.full(speeds.shape, given.max_speed) if callable(given) else np.abs(speeds)
     reach = np.zeros(speeds.shape)
@@ -117,7 +117,7 @@ def _without(valid: Validated, wrong: NDArray[np.bool_], reason: str) -> Validat
 
 
 def _followed(store: Obstacles, follow: Follow, known: Rows, count: int) -> Floats:
-    """Velocities from where obstacles were told to be before."""
+    """Velocities of rows, from the positions that were reported before."""
     columns, rows = store.columns, np.zeros((count, store.tree.ndim))
     before = Sighting(columns.geometry['position'][known.slot], columns.stamp[known.slot])
     now = Sighting(known.records['position'], known.stamp)
@@ -155,10 +155,10 @@ class Part(NamedTuple):
         ]
         if self.categories is not None:
             columns[2] = column('categories', self.categories, total, ALL)
-        told: Any = self.velocities
-        follow = told if callable(told) else None
-        if told is not None and not follow:
-            columns[3] = checks.copied_rows('velocities', told, 3, total)
+        given_velocities: Any = self.velocities
+        follow = given_velocities if callable(given_velocities) else None
+        if given_velocities is not None and not follow:
+            columns[3] = checks.copied_rows('velocities', given_velocities, 3, total)
         for begin in range(0, max(total, 1), length):
             rows = slice(begin, begin + length)
             shapes = given.take(rows)
@@ -389,7 +389,7 @@ class Updates:
         return added
 
     def rest(self) -> None:
-        """Let all obstacles stand where they were told to be: their stamps say nothing any more,
+        """Let all obstacles stand at their reported positions: their stamps say nothing any more,
         as the clock was set.
         """
         store = self._store

@@ -16,7 +16,7 @@ from bvh_ros.ros.conversions import outlines, rotations
 from bvh_ros.ros.conversions.query_clouds import FREE, UNANSWERED, Floats
 from bvh_ros.ros.parts.part import OnDemandPublisher
 from bvh_ros.scene import ShapeKind, Shapes
-from bvh_ros.tree.access import BLOCKED_WAY, FREE_WAY, PALETTE
+from bvh_ros.tree.access import BLOCKED_COLOUR, FREE_COLOUR, PALETTE
 
 if TYPE_CHECKING:
     from rclpy.node import Node
@@ -156,7 +156,7 @@ def _sign(text: str, lo: outlines.Floats, hi: outlines.Floats) -> Drawing:
 # `~/queries`: the last questions and what they met, while somebody looks.
 
 RAY_LINE, SPOT = 0.01, 0.08  # m: width of a line, diameter of a hit
-FREE_COLOUR, BLOCKED_COLOUR = ((*colour.tolist(), 1.0) for colour in (FREE_WAY, BLOCKED_WAY))
+FREE_RGBA, BLOCKED_RGBA = ((*colour.tolist(), 1.0) for colour in (FREE_COLOUR, BLOCKED_COLOUR))
 EMPTY_WORLD = 10.0  # m that a ray without end is drawn long where there is nothing
 
 
@@ -217,13 +217,13 @@ class QueryDrawing(OnDemandPublisher):
         answers = zip(*self._answers.values(), strict=True)
         lines, blocked, spots = (np.concatenate(one)[-self._limit :] for one in answers)
         self._answers.clear()
-        colours = np.where(blocked[:, None], BLOCKED_COLOUR, FREE_COLOUR).astype(np.float32)
+        colours = np.where(blocked[:, None], BLOCKED_RGBA, FREE_RGBA).astype(np.float32)
         drawings = [
             Drawing(
                 Marker.LINE_LIST, (RAY_LINE, 0.0, 0.0), namespace='rays',
                 points=lines.reshape(-1, 3), colours=np.repeat(colours, 2, axis=0),
             ),
-            Drawing(Marker.SPHERE_LIST, (SPOT, SPOT, SPOT), BLOCKED_COLOUR, 'hits', points=spots),
+            Drawing(Marker.SPHERE_LIST, (SPOT, SPOT, SPOT), BLOCKED_RGBA, 'hits', points=spots),
         ]  # fmt: skip
         frames, clock = self._world.frames, self.node.get_clock()
         return marker_array(drawings, frames.frame_id, clock.now().nanoseconds)
