@@ -1,6 +1,6 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""`bvh_demo`: start the node, move obstacles, ask who is in the way, print the answers, end.
+"""`bvh_demo`: start the node, move obstacles, ask for obstacles, print the answers, end.
 
 Everything goes over real ROS 2: the node runs in a process of its own, obstacles are published
 as markers, questions are service calls.
@@ -79,10 +79,10 @@ def _ask_first(node: Node, client: BvhClient, began: float) -> None:
     publisher.publish(scenarios.markers(boxes, ()))
     while (answer := ray.ask(client)) is None:
         time.sleep(0.01)
-    who, where = in_words(answer)
+    names, where = in_words(answer)
     bar = CLEAR if sys.stdout.isatty() else ''  # the node's, on the same terminal
     after = f'{time.monotonic() - began:.1f} s'
-    print(f'{bar}first answer after {after}: {ray.text}: {who} {where}', flush=True)
+    print(f'{bar}first answer after {after}: {ray.text}: {names} {where}', flush=True)
     publisher.publish(scenarios.markers((), (), begin=True))
     while ray.ask(client) is not None:  # `play` waits for its own first frame
         time.sleep(0.01)

@@ -49,7 +49,7 @@ class Watch:
     """
 
     def __init__(self, node: Node, name: str) -> None:
-        self.extent: Extent | None = None  # as last told; None while there are no obstacles
+        self.extent: Extent | None = None  # as last reported; None while there are no obstacles
         self._node = rclpy.create_node('watch', namespace=node.get_namespace())
         self._status = f'{self._node.resolve_service_name(name).lstrip("/")}: world'
         self._executor = SingleThreadedExecutor()

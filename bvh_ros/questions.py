@@ -42,8 +42,8 @@ class Table:
         took = 1e3 * (time.perf_counter() - began)
         self.times.append(took)
         if show:
-            who, where = in_words(answer)
-            print(f'{t:6.1f}  {question.text:34} {who:26} {where:24} {took:6.2f}')
+            names, where = in_words(answer)
+            print(f'{t:6.1f}  {question.text:34} {names:26} {where:24} {took:6.2f}')
 
     def summary(self) -> str:
         """Say how it went."""
@@ -56,7 +56,7 @@ class Table:
 
 
 def in_words(answer: Hit | list[Hit] | None) -> tuple[str, str]:
-    """Who is met, and where the first one is."""
+    """Names of the hits, and the place of the first one."""
     hits = [] if answer is None else [answer] if isinstance(answer, Hit) else answer
     if not hits:
         return 'free', ''

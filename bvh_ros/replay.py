@@ -1,6 +1,6 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Play a recording to a node that is configured for it, and ask about a scene nobody knows yet."""
+"""Play a recording to a node that is configured for it, and query a scene of unknown content."""
 
 from __future__ import annotations
 
@@ -118,7 +118,7 @@ def _ask_at_the_end(client: BvhClient, table: Table, watch: Watch, t: float) -> 
 
 
 def questions(extent: Extent) -> list[Question]:
-    """What can be asked about any scene."""
+    """Questions that fit any scene."""
     x, y, z = middle = extent.middle()
     reach_x, reach_y = extent.high[0] - x + 1.0, extent.high[1] - y + 1.0
     return [
@@ -131,6 +131,6 @@ def questions(extent: Extent) -> list[Question]:
             lambda c: c.raycast(middle, (x, y + reach_y, z), 0.3),
         ),
         Question(
-            'who is within 1 m of the middle', lambda c: c.overlap(middle, middle, tolerance=1.0)
+            'what is within 1 m of the middle', lambda c: c.overlap(middle, middle, tolerance=1.0)
         ),
     ]

@@ -38,7 +38,7 @@ class Thing(NamedTuple):
 
 
 class Frame(NamedTuple):
-    """The world at one moment, and what is asked about it."""
+    """The world at one moment, and questions about it."""
 
     t: float
     things: list[Thing]
@@ -54,7 +54,7 @@ def warehouse() -> Iterator[Frame]:
             'robot, radius 0.4 m, drives 20 m',
             lambda c: c.raycast((0, -2.4, 0.5), (20, -2.4, 0.5), 0.4),
         ),
-        Question('who is in the loading zone', lambda c: c.overlap((8, -2, 0), (12, 2, 2))),
+        Question('what is in the loading zone', lambda c: c.overlap((8, -2, 0), (12, 2, 2))),
     ]
     for step in range(int(DURATION * RATE)):
         t = step / RATE
@@ -66,7 +66,7 @@ def warehouse() -> Iterator[Frame]:
                 for i in range(3)
             ),
         ]
-        if t < 0.6 * DURATION:  # then somebody picks it up
+        if t < 0.6 * DURATION:  # then a person picks it up
             height = 0.3 + abs(math.sin(2.0 * t))
             moving.append(Thing('sphere', 'ball', 0, (10.0, 1.5, height), (0.6, 0.6, 0.6), 0.0))
         yield Frame(t, racks + moving, questions)
@@ -139,14 +139,14 @@ def _questions_of(car: Thing) -> list[Question]:
     name = f'{car.namespace}/{car.number}'
     return [
         Question(
-            f'{name}: who is ahead, 50 m', lambda c: c.raycast(ahead(bumper), ahead(bumper + 50))
+            f'{name}: what is ahead, 50 m', lambda c: c.raycast(ahead(bumper), ahead(bumper + 50))
         ),
         Question(
             f'{name}: 1.2 m wide behind, 50 m',
             lambda c: c.raycast(ahead(-bumper - 0.6), ahead(-bumper - 50.6), 0.6),
         ),
         Question(
-            f'{name}: who else is within 8 m',
+            f'{name}: what else is within 8 m',
             lambda c: [
                 hit for hit in c.overlap(car.centre, car.centre, tolerance=8.0) if hit.name != name
             ],

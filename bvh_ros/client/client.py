@@ -38,9 +38,9 @@ class BvhClient:
     then, or not at all, and in callbacks, too; there they hold up everything else, so the
     `_async` forms are better. Any thread may call, and a node may have several clients.
 
-    Several nodes with a region each (their parameter) are asked as if they were one:
+    Several nodes with a region each (their parameter) are queried as if they were one:
 
-    - A query is asked of the nodes whose region it meets. Their answers are merged: nearest
+    - A query goes to the nodes whose region it meets. Their answers are merged: nearest
       first, equal distances by name, an obstacle of several regions once.
     - If one of these nodes does not answer, or the query leaves all regions, that is an error, in
       a batch an UNANSWERED row: what no node knows is not free.
@@ -94,7 +94,7 @@ class BvhClient:
     def regions(self) -> list[tuple[NDArray[np.float64], NDArray[np.float64]]]:
         """Return lower and upper corner of the region of each of several nodes, m."""
         if self._one is not None:
-            raise ValueError('regions are asked of several nodes: give a sequence of names')
+            raise ValueError('only several nodes have regions: give a sequence of names')
         coverage = self._nodes.coverage(self.timeout)
         return list(zip(coverage.lo, coverage.hi, strict=True))
 
@@ -423,7 +423,7 @@ class BvhClient:
         Raises
         ------
         BvhError
-            Also if `between` is asked of a node whose `path_between` is off.
+            Also with `between`, if `path_between` of the node is off.
         """
         between = checks.flag('between', between)
         batch = messages.poses(positions, orientations, at, between=between)
@@ -473,7 +473,7 @@ class BvhClient:
             If the package bvh_msgs is not installed, or no row is answered, with the node's
             reason; BvhTimeoutError if the node does not answer, or does not offer the service.
         ValueError
-            If an argument has the wrong form, or several nodes are asked.
+            If an argument has the wrong form, or the client has several nodes.
         """
         node = self._only()
         question = typed.clearances(shapes, max_distance, mask, signed, at, frame_id)
@@ -494,7 +494,7 @@ class BvhClient:
         frame_id: str = '',
         timeout: float | None = None,
     ) -> Sweeps:
-        """Return the first obstacles on the ways of n shapes from their poses to others, by the
+        """Return the first obstacles that n shapes touch from their poses to others, by the
         service `query/sweep`. The centre goes along a line, and the shape turns at constant rate.
 
         Parameters

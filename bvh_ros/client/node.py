@@ -43,13 +43,13 @@ QUERIES = 'raycast', 'raycast_all', 'overlap', 'nearest'
 HEARTBEAT = 3.0  # seconds: the default of Fast DDS, with which what is lost is sent again
 LATE = 2  # of several requests, the number of the reliable one while that service is held up
 # Fast DDS sends a heartbeat with each message of a publisher that keeps only the latest one, so
-# what is lost is sent again at once. What the next message has replaced is asked again.
+# what is lost is sent again at once. What the next message has replaced is sent again.
 LATEST = QoSProfile(depth=1)
 JITTER = 1_000_000  # ns, of a stamp near the clock
 TIME_JITTER = 1_000_000_000  # ns, of a stamp near the times of the rows: clients may share these
 COMPILING_LOOK = 0.2  # seconds between two looks whether the node still compiles
 COMPILING_PATIENCE = 1.0  # seconds for an answer to that: a node that compiles is busy
-PARAMETERS_PATIENCE = 0.2  # seconds until the node is asked again for its parameters
+PARAMETERS_PATIENCE = 0.2  # seconds until the request for parameters is sent again
 NAMES_TYPE = 'diagnostic_msgs/msg/DiagnosticStatus'
 
 
@@ -170,7 +170,7 @@ class OneNode:
         read: Callable[[GetPlan.Response], Any] = messages.hits,
         executor: Executor | None = None,
     ) -> Question:
-        """Return one question, which is not asked yet."""
+        """Return one question, which is not sent yet."""
         return _Call(self._services[query], request, read, executor)
 
     def batch_question(
@@ -182,7 +182,7 @@ class OneNode:
         some: Any = slice(None),
         executor: Executor | None = None,
     ) -> Question:
-        """Return a question about some rows of a batch, which is not asked yet."""
+        """Return a question about some rows of a batch, which is not sent yet."""
         with self._opening:
             if batch.kind not in self._topics:
                 self._topics[batch.kind] = _Topic(self._node, self.name, batch.kind, self._waiting)
@@ -250,7 +250,7 @@ class OneNode:
             if not self._waiting.until(client.service_is_ready, timeout):
                 raise BvhTimeoutError(f'no {client.srv_name} after {timeout:g} s')
             # A reply is lost if the service has not discovered its client within 0.1 s, as happens
-            # under load (ros2/rmw_fastrtps#842). So this, too, is asked again.
+            # under load (ros2/rmw_fastrtps#842). So this, too, is sent again.
             call = _Call(service, request, lambda reply: [*reply.values], None)
             values: list[Any] = self._waiting.result(call, left(deadline))
             return values
@@ -363,8 +363,8 @@ class _Topic:
     def new_stamp(self, near: int | None = None) -> int:
         """Return a stamp (ns) that no other question has, just before `near`, or before now.
 
-        It is random: two clients that ask in one tick of a simulated clock must tell their
-        answers apart. Rows count seconds from it, as doubles, so a stamp near their times keeps
+        It is random: two clients that ask in one tick of a simulated clock must distinguish
+        their answers. Rows count seconds from it, as doubles, so a stamp near their times keeps
         their nanoseconds.
         """
         jitter = JITTER if near is None else TIME_JITTER

@@ -1,6 +1,6 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Several bvh nodes that share a world, a region each, asked as if they were one."""
+"""Several bvh nodes that share a world, a region each, queried as if they were one."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ Answer = TypeVar('Answer')
 
 
 class Region(NamedTuple):
-    """What one node says of itself."""
+    """The parameters of one node that matter here."""
 
     name: str
     publishers: frozenset[bytes]
@@ -52,14 +52,14 @@ class Region(NamedTuple):
 
 
 class Layout(NamedTuple):
-    """What all nodes say, in their order."""
+    """The regions of all nodes, in their order."""
 
     regions: list[Region]
     coverage: Coverage
 
     @property
     def nearest_limit(self) -> int:
-        """How many of the nearest obstacles all of them tell."""
+        """How many of the nearest obstacles all of them return."""
         return min(region.nearest_limit for region in self.regions)
 
     def footprint(self) -> tuple[float, ...]:
@@ -75,7 +75,7 @@ class Layout(NamedTuple):
 
 
 class Part(NamedTuple):
-    """Some rows of a batch that one node is questions."""
+    """Some rows of a batch, as a question to one node."""
 
     region: int
     rows: NDArray[np.int64]
@@ -89,12 +89,12 @@ class Part(NamedTuple):
 
 
 class SeveralNodes:
-    """Asks several nodes as if they were one.
+    """Queries several nodes as if they were one.
 
-    A query is asked of the nodes whose region it meets, of one alone if that holds all of it. The
+    A query goes to the nodes whose region it meets, to one alone if that holds all of it. The
     answers are merged: nearest first, equal distances by name, an obstacle of several regions
-    once. What no node knows is not free: it is an error, in a batch an UNANSWERED row. A node
-    that was started again is asked for its region anew.
+    once. What no node knows is not free: it is an error, in a batch an UNANSWERED row. The region
+    of a node that was started again is read anew.
     """
 
     def __init__(self, node: Node, names: Sequence[str], waiting: Waiting) -> None:
@@ -195,8 +195,8 @@ class SeveralNodes:
     ) -> Any:
         """Return the answers to a batch: the nearest obstacle of each row.
 
-        Each row is asked of the region where it begins, then of all regions that may know
-        something nearer. A row that leaves the regions, or whose node does not answer, is
+        Each row goes to the region where it begins, then to all regions that may know something
+        nearer. A row that leaves the regions, or whose node does not answer, is
         UNANSWERED.
         """
         _refuse_frame(frame_id)
@@ -384,7 +384,7 @@ def _rows(batch: Batch, layout: Layout) -> Rows:
 
 def _refuse_frame(frame_id: str) -> None:
     if frame_id:
-        raise ValueError('several nodes are asked in their own frame, without frame_id')
+        raise ValueError('several nodes answer in their own frame, without frame_id')
 
 
 def _place(stamped: Any) -> NDArray[np.float64]:

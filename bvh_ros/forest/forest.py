@@ -29,7 +29,7 @@ class Forest:
 
     Each query takes an `executor`: anything with the ``submit`` of `concurrent.futures.Executor`,
     such as a process pool, ``dask.distributed.Client.get_executor()`` or
-    ``mpi4py.futures.MPIPoolExecutor``. Its workers open the parts that they are asked for, so they
+    ``mpi4py.futures.MPIPoolExecutor``. Its workers open the parts that they query, so they
     must see the folder under the same path. None asks all parts in this process. An error of a
     worker is raised; no part is left out.
 

@@ -19,7 +19,6 @@ from .store import NEVER, Obstacles
 
 # ---- The part of the world whose obstacles a scene keeps.
 
-NOBODY = np.empty(0, np.int64)
 Region = tuple[NDArray[np.float64], NDArray[np.float64]]  # lo, hi
 
 
@@ -47,7 +46,7 @@ def within(
     """
     added, known = valid[:2]
     if region is None:
-        return added, known, NOBODY
+        return added, known, NONE
     new, old = _near(region, added, reach), _near(region, known, reach)
     return added.take(new), known.take(old), known.slot[~old]
 
@@ -198,7 +197,7 @@ def require_a_name_each(names: Families, count: int) -> None:
 
 NONE = np.empty(0, np.int64)
 BYTES_A_ROW, BYTES_A_SLOT = 1000, 500  # more than it takes to apply a row, to keep an obstacle
-FEW_ROWS = 64  # of which it is only asked what new ones take
+FEW_ROWS = 64  # so few are only checked for the room of new ones
 # From n names to their masks, of shape (n,).
 Categorise = Callable[[Families], NDArray[np.uint32]]
 
@@ -261,7 +260,7 @@ class Updates:
         Parameters
         ----------
         source : str
-            The owner; nobody else can touch these obstacles.
+            The owner: no other source can change these obstacles.
         names : sequence of n str, Numbered or Families
             Of several good rows with one name the last holds.
         shapes : Shapes
@@ -405,7 +404,7 @@ class Updates:
         columns = self._store.columns
         capacity, used = len(columns.tree_handle), len(self._store.registry) + columns.shadows
         grown = 2 * capacity if used + rows > capacity else 0
-        np.empty(rows * BYTES_A_ROW + grown * BYTES_A_SLOT, UINT8)  # asked for, not used
+        np.empty(rows * BYTES_A_ROW + grown * BYTES_A_SLOT, UINT8)  # reserved, not used
 
     def leaving(self, running: Sliced) -> Slots:
         """What goes when the update ends, as far as it is known."""
@@ -430,7 +429,7 @@ class Updates:
         return max(room + sum(len(self.leaving(one)) for one in replacing), 0)
 
     def room_beside(self, running: Sliced) -> int:
-        """How many obstacles may come besides what others bring, if nobody goes."""
+        """How many obstacles may come besides those of other updates, if none leave."""
         others = [one for one in self.under_way if one.replaced is not None and one is not running]
         room = self._store.most - len(self._store)
         return max(room + sum(len(self.leaving(one)) - max(one.left, 0) for one in others), 0)
@@ -565,7 +564,7 @@ class Removals:
         by = whole_time('by', by)
         expires = self._store.columns.expires
         mortal = expires > 0
-        # Never 0, which is for ever, nor later than can be told.
+        # Never 0, which is for ever, nor later than an int64 can say.
         times = np.minimum(expires[mortal], min(NEVER - by, NEVER)) + by
         with self._store.change:
             expires[mortal] = np.maximum(times, 1)

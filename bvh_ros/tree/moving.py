@@ -40,7 +40,7 @@ from .nodes import (
 )
 
 LARGEST = 1.7976931348623157e308
-_AHEAD = 32  # how far ahead free leaves are asked for: often they lie side by side
+_AHEAD = 32  # how far ahead free leaves are prefetched: often they lie side by side
 LARGEST_FAT = 5.0  # margins and displacements by which a fat box may be larger than the exact one
 
 

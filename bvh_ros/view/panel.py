@@ -204,7 +204,7 @@ class Panel:
             recording.playing = button == 'Play'
 
     def on(self, control: Any, act: Callable[[], object]) -> None:
-        """Have something done when a control is set by somebody in a browser."""
+        """Call `act` when a control is set in a browser."""
         control.on_update(lambda event: self._do(act) if event.client is not None else None)
 
     def on_click(self, button: Any, act: Callable[[], object]) -> None:

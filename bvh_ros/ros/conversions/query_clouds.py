@@ -29,7 +29,7 @@ from bvh_ros.ros.world.frames import Transform
 from bvh_ros.tree.access import shown_rows
 
 FREE = 0xFFFFFFFF  # instead of an obstacle's handle: nothing is hit
-UNANSWERED = 0xFFFFFFFE  # instead of an obstacle's handle: nobody knows
+UNANSWERED = 0xFFFFFFFE  # instead of an obstacle's handle: not known
 EVERYTHING = 0xFFFFFFFF  # the mask that sees every obstacle
 CODES = {kind: code for code, kind in DATATYPES.items()}
 ORIGIN, DIRECTION, NORMAL = ('x', 'y', 'z'), ('dx', 'dy', 'dz'), ('nx', 'ny', 'nz')
@@ -364,7 +364,7 @@ class Touched(NamedTuple):
     points: Floats  # (n, 3) m, of the first obstacle, closest to the box's centre
     distances: Floats  # (n,) m, from there to the centre; inf where there is none
     obstacles: NDArray[np.uint32]  # (n,) the first, nearest to the centre; FREE or UNANSWERED
-    counts: NDArray[np.uint32]  # (n,) how many there are; UNANSWERED where nobody knows
+    counts: NDArray[np.uint32]  # (n,) how many there are; UNANSWERED where not known
 
     def __repr__(self) -> str:
         return _shown('Touched', self.obstacles, 'boxes touched', 'distances', self.distances)
@@ -390,7 +390,7 @@ WHOLE = 'obstacles', 'counts'  # whole numbers
 
 
 def unanswered(kind: Any, count: int) -> Any:
-    """Return rows that say that nobody knows."""
+    """Return rows that say that nothing is known."""
     filled: dict[str, Any] = {
         'points': np.full((count, 3), np.nan),
         't': np.full(count, np.nan),

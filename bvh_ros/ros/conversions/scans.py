@@ -26,7 +26,7 @@ class Pattern(NamedTuple):
 
 def pattern(settings: ScanSettings) -> Pattern:
     """Return what the settings describe."""
-    # As whoever reads a LaserScan computes them: from float32.
+    # As a reader of a LaserScan computes them: from float32.
     first, step = np.float64(np.float32(settings.angle_min)), np.float32(settings.angle_increment)
     span = (settings.angle_max - settings.angle_min) / settings.angle_increment
     angles = first + np.arange(int(span + ROUNDING) + 1) * np.float64(step)

@@ -201,11 +201,11 @@ class Batch(NodePart):
     Parameters
     ----------
     world : World
-        Asked before each answer whether it is complete.
+        Checked for completeness before each answer.
     view : View
-        What is seen, of that what each row's mask asks for, and the name of the topics.
+        Its mask limits that of each row; its name begins the topics.
     kernels : OnDemand
-        What is compiled when somebody asks.
+        Kernels that are compiled on first use.
     """
 
     question_topic, answer_topic = 'rays', 'ray_hits'
@@ -250,7 +250,7 @@ class Batch(NodePart):
             return
         try:
             request = self._read(serialised)
-        except ValueError as error:  # from whom, and what was asked, is not known
+        except ValueError as error:  # the sender and the question are not known
             self.refused.add(str(error))
             return
         self._work.append((serialised, self._answering(request, serialised)))
@@ -314,7 +314,7 @@ class Batch(NodePart):
         return decoder.read(serialised)
 
     def _questions(self, request: Any) -> QueryCloud | PathPoses:
-        """What is asked; ValueError if it cannot be read."""
+        """Return the rows of a message; ValueError if it cannot be read."""
         return QueryCloud(request, self.question)
 
     def _spans(self, moments: Any, stamp: int) -> Spans | None:
@@ -599,7 +599,7 @@ class SweepBatch(PathBatch):
         return PathPoses(serialised, between=True)
 
     def _spans(self, moments: Poses, stamp: int) -> Spans | None:
-        """A way begins when the pose before is asked about."""
+        """A sweep begins at the time of the pose before."""
         before, stamps, times = moments.before.stamps, moments.stamps, self._world.times
         if times is None or not (stamps.any() or before.any()):
             return None

@@ -47,13 +47,13 @@ class QueryServices(NodePart):
     Parameters
     ----------
     world : World
-        Asked before each answer whether it is complete.
+        Checked for completeness before each answer.
     view : View
-        What these services see.
+        The part of the world that these services see.
     drawing : QueryDrawing
-        Is told of questions and answers while somebody looks.
+        Gets questions and answers while it has subscribers.
     kernels : OnDemand
-        What is compiled when somebody asks.
+        Kernels that are compiled on first use.
     """
 
     def __init__(
@@ -145,7 +145,7 @@ class QueryServices(NodePart):
             reason = str(error)
         except Exception as error:  # whatever went wrong, the way must not look free
             reason = explain(error)
-        if reason != self._world.compiling:  # that is told as progress
+        if reason != self._world.compiling:  # that is logged as progress
             self.refused.add(reason)
         plans.fill_error(plan, request, reason, frames.frame_id, now)
 

@@ -58,7 +58,7 @@ MANY_NAMES = 8
 
 
 class ShapeRows(NamedTuple):
-    """Shapes whose clearance is asked for; nothing is known of their values yet."""
+    """Shapes of a clearance query, with unchecked values."""
 
     kinds: NDArray[np.uint8]  # (n,)
     places: Floats  # (n, 3) m
@@ -94,7 +94,7 @@ class ShapeRows(NamedTuple):
 
 
 class SweepRows(NamedTuple):
-    """Shapes that go from pose to pose; nothing is known of their values yet."""
+    """Shapes that go from pose to pose, with unchecked values."""
 
     kinds: NDArray[np.uint8]  # (n,)
     places: Floats  # (n, 3) m
@@ -202,11 +202,11 @@ class TypedServices(NodePart):
     Parameters
     ----------
     world : World
-        Asked before each answer whether it is complete.
+        Checked for completeness before each answer.
     view : View
         What these services show.
     kernels : OnDemand
-        What is compiled when somebody asks.
+        Kernels that are compiled on first use.
     """
 
     def __init__(self, node: Node, world: World, view: View, kernels: OnDemand) -> None:
@@ -274,7 +274,7 @@ class TypedServices(NodePart):
             status, reason = STATUS.BAD_REQUEST, str(error)
         except Exception as error:  # whatever went wrong, no row may look free
             reason = explain(error)
-        if status != STATUS.COMPILING:  # that is told as progress
+        if status != STATUS.COMPILING:  # that is logged as progress
             self.refused.add(reason)
         write(response, unanswered(response, count), np.full(count, status), reason)
         self.timings.add(began)
@@ -653,7 +653,7 @@ def _fields(response: Any) -> dict[str, int]:
 
 
 def unanswered(response: Any, count: int) -> Answers:
-    """Return rows that say that nobody knows."""
+    """Return rows that say that nothing is known."""
     numbers: dict[str, Any] = {
         name: np.full((count, width) if width > 1 else count, np.nan)
         for name, width in _fields(response).items()

@@ -310,8 +310,8 @@ def patched(snapshot: Snapshot, view: View) -> Snapshot | None:
 
     Each of them is put into a node behind the others, which every ray visits. What the other nodes
     say of them is left there: a leaf is looked at as it is now. Threads that do this at once write
-    the same into the same memory; whoever reads there asks for a version of the tree, and so for
-    what was written for that.
+    the same into the same memory. A reader names a version of the tree, and so reads what was
+    written for that version.
     """
     if view.tree.state.item(WRITTEN) - snapshot.written > RECENT_PLACES:
         return None

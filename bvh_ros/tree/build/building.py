@@ -37,7 +37,7 @@ from .binning import (
 FEW = LANES  # boxes at most that are joined pair by pair
 _BOTH = 2 * FEW  # of two groups of boxes
 NEAR = 64  # leaves of a subtree that is finished while its nodes are in the near caches
-_AHEAD = 32  # how far ahead free nodes are asked for: often they lie side by side
+_AHEAD = 32  # how far ahead free nodes are prefetched: often they lie side by side
 
 # A range of items on the stack: the levels it may use; 2 * its parent, + 1 if it is the right
 # child; its split, if it is planned; a bit for each of its sides that may be too small for its

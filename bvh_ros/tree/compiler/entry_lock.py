@@ -34,9 +34,9 @@ class EntryLock:
         self._locked: tuple[int, int] | None = None
 
     def acquire(self, folder: Path, what: str) -> bool:
-        """Wait until nobody else compiles this; return whether there was somebody.
+        """Wait until no other process compiles this; return whether one did.
 
-        Where files cannot be locked, everybody compiles.
+        Where files cannot be locked, each process compiles.
         """
         if sys.platform == 'win32':
             return False

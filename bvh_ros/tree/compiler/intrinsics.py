@@ -57,7 +57,7 @@ def index(value: int) -> Any:
 
 
 def on_stack(builder: Any, kind: Any) -> Any:
-    """Room that is made once a call, wherever it is asked for."""
+    """Room on the stack, made once a call."""
     with builder.goto_entry_block():
         return builder.alloca(kind)
 

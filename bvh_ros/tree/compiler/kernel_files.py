@@ -140,7 +140,7 @@ class PartCode(JITCodeLibrary):
         return code
 
     def _optimize_final_module(self) -> None:
-        """Simplify, so that whoever calls it sees how little there is to inline.
+        """Simplify, so that a caller's inliner sees how small it is.
 
         Left as it is, code is inlined otherwise than numba would (a swept ball took a quarter
         longer), and is more work for every caller.
@@ -180,7 +180,7 @@ class SealedFiles:
 
     @functools.cached_property
     def _stamp(self) -> str:
-        """Of the sources; most kernels are only called by others, and never asked for it."""
+        """Of the sources; most kernels are only called by others, and never need it."""
         return self._locator.depends_on()
 
     def load(self, key: Any) -> Any:
@@ -273,7 +273,7 @@ class KernelCache(caching.FunctionCache):
         return found
 
     def is_kept(self, sig: Any, target_context: Any) -> bool:
-        """Whether this need not be compiled, as far as can be told without loading it."""
+        """Whether this need not be compiled, as far as is known without loading it."""
         return self._cache_file.is_there(self._index_key(sig, target_context.codegen()))
 
     def release(self) -> None:

@@ -2,9 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """A folder that only this user can write.
 
-Whoever can write machine code that others run can run what they like as those others. A name in
-the machine's temporary folder, or in a home that somebody else lent, is nobody's until it is
-looked at.
+A user who can write machine code that others run can run anything in their name. So a folder in
+the machine's temporary folder, or in a borrowed home, is not trusted before its owner is checked.
 """
 
 import contextlib
@@ -23,8 +22,8 @@ class UnsafeError(PermissionError):
 
 
 def is_ours_alone(status: os.stat_result, *, or_of_root: bool = False) -> bool:
-    """Whether a file or folder is this user's, and nobody else may write it. What is root's may
-    do, too, if that is said: root needs no such file to run what it likes.
+    """Whether a file or folder is this user's, and no other user may write it. With `or_of_root`
+    those of root will do, too: root needs no such file to run anything.
     """
     if os.name == 'nt':
         return True  # knows no such modes

@@ -178,8 +178,8 @@ class RayAsking(Timed):
         return storage.latest, snapshot
 
     def _first_hits(self, rays_given: tuple[Any, ...], threads: int) -> RayHits:
-        """`raycast_many` of good input, what a `Rays` holds, of boxes at rest; rays are counted
-        where they are asked for by one thread.
+        """`raycast_many` of good input, what a `Rays` holds, of boxes at rest. Rays are counted
+        only by one thread.
         """
         origins, _, t_max, _, _, mode, _ = rays_given
         count, ndim = len(origins), self._ndim

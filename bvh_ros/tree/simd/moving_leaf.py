@@ -56,7 +56,7 @@ def _bits(builder: Any, truths: Any) -> Any:
 @intrinsic
 def moving_slabs(typingctx, leaves, slot, origin, direction, since, pace, more, slowest):
     """How a course meets leaves[slot], of `leaves.leaf_dtype`, larger by `more` on all sides, if
-    it is anywhere within its bounds: (whether it surely misses it, whether nobody can tell here
+    it is anywhere within its bounds: (whether it surely misses it, whether this cannot decide
     that it meets it, entry, leave, entered_by, others_by, surely, lanes, negative, whether it
     surely touches the box at the start). An axis along which it comes nearer more slowly than
     `slowest` bounds nothing.
