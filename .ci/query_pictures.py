@@ -1,7 +1,11 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""One small picture a query, for docs/. Each shows what the query really answers."""
+"""Draw one small picture a query, for docs/. Each shows what the query really answers.
 
+Run: python .ci/query_pictures.py [FOLDER]. Without a folder those in docs/pictures are replaced.
+"""
+
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -9,10 +13,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..orientations import quaternions
-from ..scene import NO_NODE, Scene, SceneHit, ShapeKind, Shapes
-from ..scene.inspection import outlines
-from ..scene.shapes.shape import as_shapes
+from bvh_ros import quaternions
+from bvh_ros.scene import NO_NODE, Scene, SceneHit, ShapeKind, Shapes
+from bvh_ros.scene.inspection import outlines
+from bvh_ros.scene.shapes.shape import as_shapes
 
 BLUE, ORANGE, GREEN, GREY, LIGHT = '#0072B2', '#D55E00', '#009E73', '#9AA3AD', '#DDE2E7'
 WIDTH, HEIGHT = 10.0, 5.0  # m, of the world
@@ -280,3 +284,7 @@ def draw(folder: Path) -> list[Path]:
         files.append(folder / f'{make.__name__}.svg')
         make().save(files[-1])
     return files
+
+
+if __name__ == '__main__':
+    draw(Path(sys.argv[1]) if sys.argv[1:] else Path(__file__).parents[1] / 'docs' / 'pictures')
