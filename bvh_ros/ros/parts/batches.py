@@ -103,6 +103,52 @@ def spans_between(at: Times, until: Times, known: KnownTimes, now: int) -> Spans
     return Spans(at, until, which, states, unknown)
 
 
+UNKNOWN_TIME = 'its time is not known, see history and max_prediction'
+
+
+class Checked(NamedTuple):
+    """Some rows in the node's frame, and which of them can be answered."""
+
+    rows: Any
+    good: NDArray[np.bool_]  # (n,)
+    reason: str  # why the first that is not good cannot be answered
+    spans: Spans | None  # None: all are about now
+
+    def by_state(
+        self, now: NodeScene
+    ) -> Iterator[tuple[NodeScene, Any, Times | None, Times | None]]:
+        """The good rows, state by state: the scene, which rows, and when they begin and end (ns).
+        `now` is the scene of rows about now. Where it is that of all rows, none is copied.
+        """
+        which = slice(None) if self.good.all() else np.flatnonzero(self.good)
+        if self.spans is None:
+            if self.good.any() or self.good.all():
+                yield now, which, None, None
+            return
+        rows = np.arange(len(self.good))[which]
+        for group in self.spans.take(rows).groups():
+            these = rows[group]
+            at, until, number = (column[these] for column in self.spans[:3])
+            if number[0] == NOW:
+                yield now, these, None, None
+            else:
+                yield self.spans.states[number[0]], these, at, until
+
+
+def checked(
+    rows: Any, number: int, transform: Transform | None, spans_of: Callable[[Any], Spans | None]
+) -> Checked:
+    """Bring rows, the first of which has this number, into the node's frame, and check them."""
+    if transform is not None:
+        with np.errstate(over='ignore', invalid='ignore'):  # what leaves the doubles is bad
+            rows = rows.moved(transform)
+    bad, reason = fault(rows, number)
+    spans = spans_of(rows)
+    if spans is not None:
+        bad, reason = bad | spans.unknown, reason or UNKNOWN_TIME
+    return Checked(rows, ~bad, reason, spans)
+
+
 # Many questions in one message, answered row for row: `~/rays` to `~/ray_hits`.
 
 QOS_PERIOD = 1.0  # seconds
@@ -117,7 +163,6 @@ LATE_REPEATS, LONG_ANSWER = 0.1, 0.02
 MANY_ROWS, MANY_OBSTACLES = 1024, 30_000
 TURN = 0.01  # seconds after which others get a turn
 DONE = object()
-UNKNOWN_TIME = 'its time is not known, see history and max_prediction'
 
 
 def prepare(
@@ -370,36 +415,24 @@ class Batch(NodePart):
         message, ns.
         """
         scene = self._now()
-        if transform is not None:
-            with np.errstate(over='ignore', invalid='ignore'):  # what leaves the doubles is bad
-                questions = questions.moved(transform)
-        bad, reason = fault(questions, number)
-        spans = self._spans(questions, stamp)
-        if spans is not None:
-            bad, reason = bad | spans.unknown, reason or UNKNOWN_TIME
-        good = self._count(bad, reason)
-        if good.all():
-            answers = self._ask_all(scene, questions, spans)
-        else:
+        rows, good, reason, _ = given = checked(
+            questions, number, transform, lambda rows: self._spans(rows, stamp)
+        )
+        refused = int(np.count_nonzero(~good))
+        self.answered += len(good) - refused
+        if refused:
+            self.refused.add(reason, refused)
+        answers: Any = None
+        if refused or given.spans is not None:
             answers = unanswered(self.answer, len(good))
-            some = None if spans is None else spans.take(good)
-            put(answers, good, self._ask_all(scene, take(questions, good), some))
-        self._draw(questions, answers)
-        return answers if transform is None else moved_back(transform, answers)
-
-    def _ask_all(self, scene: NodeScene, questions: Any, spans: Spans | None) -> Any:
-        """Ask about now, or about each row's time what was known then."""
-        if spans is None:
-            return self._ask(scene, questions)
-        answers = unanswered(self.answer, len(spans.at))
-        for rows in spans.groups():
-            some, number = take(questions, rows), spans.which[rows[0]]
-            if number == NOW:
-                found = self._ask(scene, some)
+        for state, these, at, until in given.by_state(scene):
+            found = self._ask(state, take(rows, these), at, until)
+            if answers is None:  # all rows at once: none is copied
+                answers = found
             else:
-                found = self._ask(spans.states[number], some, spans.at[rows], spans.until[rows])
-            put(answers, rows, found)
-        return answers
+                put(answers, these, found)
+        self._draw(rows, answers)
+        return answers if transform is None else moved_back(transform, answers)
 
     def _ask(
         self, scene: NodeScene, questions: Any, at: Times | None = None, until: Times | None = None
@@ -416,14 +449,6 @@ class Batch(NodePart):
 
     def _threads(self, rows: int) -> int:
         return self._world.settings.threads_for(rows)
-
-    def _count(self, bad: NDArray[np.bool_], reason: str) -> NDArray[np.bool_]:
-        """Count rows that are answered, and not; return which are."""
-        refused = int(np.count_nonzero(bad))
-        self.answered += len(bad) - refused
-        if refused:
-            self.refused.add(reason, refused)
-        return ~bad
 
 
 class RayBatch(Batch):

@@ -32,11 +32,10 @@ from bvh_ros.ros.conversions.query_clouds import (
     Masks,
     Points,
     Rays,
-    fault,
     take,
 )
 from bvh_ros.ros.conversions.times import nanoseconds
-from bvh_ros.ros.parts.batches import UNKNOWN_TIME, Pace, Spans, Times, near, prepare, spans_after
+from bvh_ros.ros.parts.batches import Pace, Spans, checked, near, prepare, spans_after
 from bvh_ros.ros.parts.part import NodePart, Timings
 from bvh_ros.ros.parts.services import in_turns
 from bvh_ros.ros.qos import repeated
@@ -313,22 +312,17 @@ class TypedServices(NodePart):
 
         def answer(piece: slice) -> None:
             now = self.node.get_clock().now().nanoseconds
-            scene, some = world.at(now), take(rows, piece)
-            if transform is not None:
-                with np.errstate(over='ignore', invalid='ignore'):  # what leaves doubles is bad
-                    some = some.moved(transform)
-            bad, reason = fault(some, piece.start)
-            spans = spans_of(some)
-            if spans is not None:
-                bad, reason = bad | spans.unknown, reason or UNKNOWN_TIME
-            numbers = np.arange(piece.start, piece.start + len(bad))
-            if bad.any():
-                reasons.append(reason)
-                statuses[numbers[bad]] = STATUS.BAD_REQUEST
-                parts.append((numbers[bad], unanswered(response, int(np.count_nonzero(bad)))))
-            for state, these, at, until in _states(scene, spans, ~bad):
-                masks = some.masks[these] & np.uint32(self.view.mask)
-                these_rows = take(some, these)._replace(masks=masks)
+            scene = world.at(now)
+            given = checked(take(rows, piece), piece.start, transform, spans_of)
+            numbers = np.arange(piece.start, piece.start + len(given.good))
+            bad = numbers[~given.good]
+            if len(bad):
+                reasons.append(given.reason)
+                statuses[bad] = STATUS.BAD_REQUEST
+                parts.append((bad, unanswered(response, len(bad))))
+            for state, these, at, until in given.by_state(scene):
+                masks = given.rows.masks[these] & np.uint32(self.view.mask)
+                these_rows = take(given.rows, these)._replace(masks=masks)
                 found = question.ask(state, request, these_rows, at, until, limit)
                 if request.with_names:
                     found.numbers['names'] = names_of(state, found.obstacles)
@@ -617,22 +611,6 @@ def back(transform: Transform, answers: Answers, question: Question) -> Answers:
         numbers |= {name: inverse.points(numbers[name]) for name in question.points}
         numbers |= {name: inverse.vectors(numbers[name]) for name in question.vectors}
     return answers._replace(numbers=numbers)
-
-
-def _states(
-    scene: NodeScene, spans: Spans | None, good: NDArray[np.bool_]
-) -> Generator[tuple[NodeScene, Any, Times | None, Times | None], None, None]:
-    """The states that the good rows are about: scene, rows, begin and end of each."""
-    if spans is None:
-        if good.all():  # no row is copied
-            yield scene, slice(None), None, None
-        elif good.any():
-            yield scene, np.flatnonzero(good), None, None
-        return
-    rows = np.flatnonzero(good)
-    for group in spans.take(rows).groups():
-        these = rows[group]
-        yield spans.states[spans.which[these[0]]], these, spans.at[these], spans.until[these]
 
 
 WIDTHS = {
