@@ -125,6 +125,16 @@ def record_at(context: Any, builder: Any, kind: Any, array: Any, place: Any) -> 
     return builder.bitcast(here, _BYTE.as_pointer())
 
 
+def first_numbers(context: Any, builder: Any, kind: Any, array: Any, ndim: int, width: int) -> Any:
+    """The first doubles of an array, and zeros, as a vector."""
+    first = elements_at(context, builder, kind, array, index(0), index(ndim))
+    numbers = ir.Constant(ir.VectorType(ir.DoubleType(), width), [0.0] * width)
+    for axis in range(ndim):
+        number = builder.load(builder.gep(first, [index(axis)]))
+        numbers = builder.insert_element(numbers, number, ir.Constant(_INT, axis))
+    return numbers
+
+
 def _bytes_at(context: Any, builder: Any, kind: Any, array: Any, place: Any) -> Any:
     """Pointer to the bytes of array[place], wherever that is: not to be read."""
     size = context.get_abi_sizeof(context.get_data_type(kind.dtype))
