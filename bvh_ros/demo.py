@@ -25,10 +25,10 @@ from visualization_msgs.msg import MarkerArray
 
 from bvh_ros import scenarios
 from bvh_ros.client import BvhClient, BvhTimeoutError
-from bvh_ros.questions import Table, in_words
 from bvh_ros.ros import large_messages
 from bvh_ros.ros.compilation import CLEAR
 from bvh_ros.ros.running import init, keep_apart, running_node, wait_until_ready
+from bvh_ros.scenarios import Table, in_words
 
 MOST_DOMAIN = 232  # of ROS_DOMAIN_ID: beyond, there are no ports
 PRINT_EVERY = 1.0  # seconds between the answers that are printed; all are counted
@@ -188,10 +188,10 @@ def _view(name: str) -> Iterator[None]:
 
 def _draw(options: argparse.Namespace) -> int:
     """Draw a picture; nothing is published for that, and no node runs."""
-    from bvh_ros.view import still
+    from bvh_ros.view import recorded
 
     try:
-        still.draw(options.picture, options.replay, options.topic)
+        recorded.draw(options.picture, options.replay, options.topic)
     except (RuntimeError, ValueError, OSError) as error:
         print(f'bvh_demo: {error}', file=sys.stderr)
         return 1

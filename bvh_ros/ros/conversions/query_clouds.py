@@ -16,15 +16,15 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 from sensor_msgs.msg import PointCloud2, PointField
 
-from bvh_ros.ros.cdr.point_cloud2 import PointCloud
-from bvh_ros.ros.conversions import rotations
-from bvh_ros.ros.conversions.cloud_fields import (
+from bvh_ros.ros.cdr.point_cloud2 import (
     DATATYPES,
+    PointCloud,
     all_or_none,
     columns,
     structured,
     widest,
 )
+from bvh_ros.ros.conversions import rotations
 from bvh_ros.ros.world.frames import Transform
 from bvh_ros.tree.access import shown_rows
 

@@ -12,7 +12,7 @@ from moveit_msgs.msg import CollisionObject
 
 from bvh_ros.ros.conversions import collision_objects as objects
 from bvh_ros.ros.conversions.collision_objects import Body, CollisionObjects
-from bvh_ros.ros.conversions.naming import numbered
+from bvh_ros.ros.conversions.placing import numbered
 from bvh_ros.ros.sources.columns import ColumnsSource
 from bvh_ros.ros.sources.source import Applying, is_costly
 from bvh_ros.scene import Part, Refusal

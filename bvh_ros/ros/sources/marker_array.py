@@ -15,7 +15,7 @@ from bvh_ros.ros.cdr import marker_array as decoder
 from bvh_ros.ros.compile_jobs import Job
 from bvh_ros.ros.conversions import markers
 from bvh_ros.ros.conversions.markers import table
-from bvh_ros.ros.conversions.naming import numbered
+from bvh_ros.ros.conversions.placing import numbered
 from bvh_ros.ros.sources.source import Applying, Source
 from bvh_ros.scene import Families, Part
 from bvh_ros.scene.names import as_families
