@@ -12,7 +12,6 @@ from threading import Lock
 from typing import Any, NamedTuple
 
 import numpy as np
-from builtin_interfaces.msg import Time as Stamp
 from diagnostic_msgs.msg import DiagnosticStatus
 from nav_msgs.msg import Path
 from nav_msgs.srv import GetPlan
@@ -37,6 +36,7 @@ from bvh_ros.ros.conversions.query_clouds import (
     Touched,
     read_answers,
 )
+from bvh_ros.ros.conversions.times import nanoseconds
 from bvh_ros.ros.qos import REPEATED_REPLIES, REQUESTS, repeated
 
 QUERIES = 'raycast', 'raycast_all', 'overlap', 'nearest'
@@ -375,8 +375,8 @@ class _Topic:
                 return stamp
 
     def _receive(self, cloud: PointCloud2) -> None:
-        stamp = _nanoseconds(cloud.header.stamp)
-        if stamp == _nanoseconds(self._hello.header.stamp) and not self.is_heard:
+        stamp = nanoseconds(cloud.header.stamp)
+        if stamp == nanoseconds(self._hello.header.stamp) and not self.is_heard:
             self.is_heard = True
             for question in [*self.open.values()]:
                 question.ask_anew()
@@ -393,7 +393,7 @@ class _BatchQuestion(Question):
     def __init__(self, topic: _Topic, message: Any, executor: Executor | None) -> None:
         super().__init__(topic.name, topic.patience, executor)
         self._topic, self._message = topic, message
-        self._stamp = _nanoseconds(message.header.stamp)
+        self._stamp = nanoseconds(message.header.stamp)
         self._rows = len(message.poses) if isinstance(message, Path) else message.width
         self._work = self._rows * topic.kind.work
         self._began = 0.0
@@ -431,7 +431,3 @@ class _BatchQuestion(Question):
         if not self.answer.done():
             self._topic.is_heard = False
         super().drop()
-
-
-def _nanoseconds(stamp: Stamp) -> int:
-    return int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)
