@@ -179,20 +179,24 @@ class Question(NamedTuple):
         The service.
     read : callable
         From a request to its rows; ValueError if its arrays do not belong together.
-    needs : callable
-        From a request and whether it is about other times to the names of what is compiled.
     ask : callable
         From scene, request, rows, begin and end (ns, or None) and the limit to Answers.
-    points, vectors : sequence of str
-        Fields of the response that are in the frame of the request.
+    kernels, timed : sequence of str
+        What is compiled on first use: for all its requests, and for those about other times.
     """
 
     kind: type
     read: Callable[[Any], Any]
-    needs: Callable[[Any, bool], Sequence[str]]
     ask: Callable[..., Answers]
-    points: Sequence[str] = ()
-    vectors: Sequence[str] = ()
+    kernels: Sequence[str] = ()
+    timed: Sequence[str] = ()
+
+    def needs(self, request: Any, is_timed: bool) -> Sequence[str]:
+        """Names of what a request needs compiled."""
+        if self.kind is Raycast:
+            balls = len(request.radii) and not is_timed and not request.all_hits
+            return [BALLS] if balls else []
+        return [*self.kernels, *(self.timed if is_timed else ())]
 
 
 class TypedServices(NodePart):
@@ -221,17 +225,16 @@ class TypedServices(NodePart):
         self._limit, self._threads = settings.max_hits, settings.threads_for
         self._pace = Pace()
         self._work: list[Generator[None, None, str]] = []  # begun
-        ray, points = Question(Raycast, _rays, _ray_kernels, self._cast), ['points']
-        near_point = Question(Nearest, _points, _point_kernels, self._nearest)
-        shape = Question(Clearance, _shapes, _shape_kernels, self._clearance)
-        self._serve('raycast', ray._replace(points=points, vectors=['normals']))
-        self._serve('overlap', Question(Overlap, _boxes, _box_kernels, self._overlap))
-        self._serve('nearest', near_point._replace(points=['closest'], vectors=['normals']))
-        self._serve('clearance', shape._replace(points=['shape_points', 'obstacle_points']))
-        sweep = Question(Sweep, _swept_shapes, _sweep_kernels, self._sweep)
-        self._serve('sweep', sweep._replace(points=['points'], vectors=['normals']))
+        for question in (
+            Question(Raycast, _rays, self._cast),
+            Question(Overlap, _boxes, self._overlap, [BOXES_ASKED]),
+            Question(Nearest, _points, self._nearest, [POINTS], [NEAREST_THEN]),
+            Question(Clearance, _shapes, self._clearance, [CLEARANCES], [PATHS_THEN]),
+            Question(Sweep, _swept_shapes, self._sweep, [SWEEPS]),
+        ):
+            self._serve(question)
 
-    def _serve(self, name: str, question: Question) -> None:
+    def _serve(self, question: Question) -> None:
         async def callback(request: Any, response: Any) -> Any:
             work = self._reply(request, response, question)
             self._work.append(work)
@@ -241,7 +244,7 @@ class TypedServices(NodePart):
                 self._work.remove(work)
             return response
 
-        name = f'query/{name}'
+        name = f'query/{question.kind.__name__.lower()}'
         self.service(question.kind, self.view.topic(name), callback)
         self.repeated_service(question.kind, self.view.topic(repeated(name)), callback)
 
@@ -337,7 +340,7 @@ class TypedServices(NodePart):
             world.at(self.node.get_clock().now().nanoseconds)
         answers = merged(count, parts)
         if transform is not None:
-            answers = back(transform, answers, question)
+            answers = back(transform, answers)
         newest = world.scene.newest
         response.stamp.sec, response.stamp.nanosec = divmod(newest, 1_000_000_000)
         self.answered += count - int(np.count_nonzero(statuses))
@@ -581,49 +584,21 @@ def _swept_shapes(request: Any) -> SweepRows:
     )
 
 
-def _sweep_kernels(_request: Any, _timed: bool) -> Sequence[str]:
-    return [SWEEPS]
-
-
-def _ray_kernels(request: Any, timed: bool) -> Sequence[str]:
-    return [BALLS] if len(request.radii) and not timed and not request.all_hits else []
-
-
-def _box_kernels(_request: Any, _timed: bool) -> Sequence[str]:
-    return [BOXES_ASKED]
-
-
-def _point_kernels(_request: Any, timed: bool) -> Sequence[str]:
-    return [POINTS, *([NEAREST_THEN] if timed else [])]
-
-
-def _shape_kernels(_request: Any, timed: bool) -> Sequence[str]:
-    return [CLEARANCES, *([PATHS_THEN] if timed else [])]
-
-
 # Rows, and the answers to them.
 
 
-def back(transform: Transform, answers: Answers, question: Question) -> Answers:
+POINT_FIELDS = 'points', 'closest', 'shape_points', 'obstacle_points'
+WIDTHS = {'t': 1, 'free_until': 1, 'distances': 1, 'normals': 3, **dict.fromkeys(POINT_FIELDS, 3)}
+"""Numbers of an obstacle, by fields of the responses."""
+
+
+def back(transform: Transform, answers: Answers) -> Answers:
     """Return answers in the frame that the request came from."""
     inverse, numbers = transform.inverse(), dict(answers.numbers)
     with np.errstate(over='ignore', invalid='ignore'):
-        numbers |= {name: inverse.points(numbers[name]) for name in question.points}
-        numbers |= {name: inverse.vectors(numbers[name]) for name in question.vectors}
+        numbers |= {n: inverse.points(numbers[n]) for n in POINT_FIELDS if n in numbers}
+        numbers |= {n: inverse.vectors(numbers[n]) for n in ['normals'] if n in numbers}
     return answers._replace(numbers=numbers)
-
-
-WIDTHS = {
-    't': 1,
-    'free_until': 1,
-    'distances': 1,
-    'points': 3,
-    'closest': 3,
-    'normals': 3,
-    'shape_points': 3,
-    'obstacle_points': 3,
-}
-"""Numbers of an obstacle, by fields of the responses."""
 
 
 def _fields(response: Any) -> dict[str, int]:
