@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from hypothesis import strategies as st
 from scene.reference import bulging, random_shapes
+from turns import unit_quaternions
 
 from bvh_ros.scene import NO_NODE, Mesh, NodeScene, Numbered, Part, Shapes
-from bvh_ros.scene.shapes.shape import unit_quaternions
 
 NOBODY = np.full(3, np.nan)
 
