@@ -160,21 +160,17 @@ def point(name: str, value: ArrayLike, ndim: int, planar: bool = False) -> Float
     return array
 
 
-def points(
-    name: str, value: ArrayLike, ndim: int, count: int | None = None, planar: bool = False
-) -> Floats:
-    """Finite points or vectors of shape (n, ndim); n is `count` where given. `planar`: see
-    `with_z`.
-    """
-    array = copied_rows(name, value, ndim, count, planar)
+def points(name: str, value: ArrayLike, ndim: int, count: int | None = None) -> Floats:
+    """Finite points or vectors of shape (n, ndim); n is `count` where given."""
+    array = copied_rows(name, value, ndim, count)
     finite(name, array)
     return array
 
 
 def copied_rows(
-    name: str, value: ArrayLike, ndim: int, count: int | None = None, planar: bool = False
+    name: str, value: ArrayLike, ndim: int, count: int | None, planar: bool = False
 ) -> Floats:
-    """As `points`, not known to be finite."""
+    """As `points`, not known to be finite. `planar`: see `with_z`."""
     array = rows(name, value, ndim, count, planar)
     return array.copy() if array is value else array
 

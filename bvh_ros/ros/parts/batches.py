@@ -59,6 +59,7 @@ if TYPE_CHECKING:
     from bvh_ros.scene import NodeScene, Shapes
 
 Times = NDArray[np.int64]
+At = Times | None  # (n,) ns; None: now
 LONGEST = 2.0**60  # ns, as sums of these and of a stamp are no more than 64 bits
 NOW = -2  # instead of a state: rows about now
 
@@ -114,9 +115,7 @@ class Checked(NamedTuple):
     reason: str  # why the first that is not good cannot be answered
     spans: Spans | None  # None: all are about now
 
-    def by_state(
-        self, now: NodeScene
-    ) -> Iterator[tuple[NodeScene, Any, Times | None, Times | None]]:
+    def by_state(self, now: NodeScene) -> Iterator[tuple[NodeScene, Any, At, At]]:
         """The good rows, state by state: the scene, which rows, and when they begin and end (ns).
         `now` is the scene of rows about now. Where it is that of all rows, none is copied.
         """
@@ -434,9 +433,7 @@ class Batch(NodePart):
         self._draw(rows, answers)
         return answers if transform is None else moved_back(transform, answers)
 
-    def _ask(
-        self, scene: NodeScene, questions: Any, at: Times | None = None, until: Times | None = None
-    ) -> Any:
+    def _ask(self, scene: NodeScene, questions: Any, at: At, until: At) -> Any:
         """Ask the scene, about now or (n,) times in ns."""
         raise NotImplementedError
 
@@ -476,13 +473,7 @@ class RayBatch(Batch):
         if self._drawing.is_watched:
             self._drawing.add_rays(questions, answers)
 
-    def _ask(
-        self,
-        scene: NodeScene,
-        questions: Rays,
-        at: Times | None = None,
-        until: Times | None = None,
-    ) -> Hits:
+    def _ask(self, scene: NodeScene, questions: Rays, at: At, until: At) -> Hits:
         """First hits; a ray that takes time reaches its t_max at the end of that time."""
         directions, limits, whole = questions.directions, questions.t_max, np.ones(1)
         if at is not None and until is not None:
@@ -511,13 +502,7 @@ class PointBatch(Batch):
     question_topic, answer_topic = 'points', 'nearest_hits'
     question, answer, needed, needed_then = Points, Near, POINTS, NEAREST_THEN
 
-    def _ask(
-        self,
-        scene: NodeScene,
-        questions: Points,
-        at: Times | None = None,
-        until: Times | None = None,
-    ) -> Near:
+    def _ask(self, scene: NodeScene, questions: Points, at: At, until: At) -> Near:
         masks = self._masks(questions.masks)
         handles, distances, points = scene.nearest_many(
             *(questions.places, 1, questions.reaches, masks),
@@ -533,13 +518,7 @@ class BoxBatch(Batch):
     question_topic, answer_topic = 'boxes', 'box_hits'
     question, answer, needed, needed_then = Boxes, Touched, BOXES_ASKED, BOXES_ASKED
 
-    def _ask(
-        self,
-        scene: NodeScene,
-        questions: Boxes,
-        at: Times | None = None,
-        until: Times | None = None,
-    ) -> Touched:
+    def _ask(self, scene: NodeScene, questions: Boxes, at: At, until: At) -> Touched:
         masks = self._masks(questions.masks)
         hits = scene.overlap_many(
             *(questions.places, questions.sizes, rotations.set_ones(questions.turns)),
@@ -592,13 +571,7 @@ class PathBatch(Batch):
         which = np.where(timed, spans.which, NOW)
         return spans._replace(which=which, unknown=spans.unknown & timed)
 
-    def _ask(
-        self,
-        scene: NodeScene,
-        questions: Poses,
-        at: Times | None = None,
-        until: Times | None = None,
-    ) -> Near:
+    def _ask(self, scene: NodeScene, questions: Poses, at: At, until: At) -> Near:
         mask, threads = self.view.mask, self._threads(len(questions.places))
         parts = [
             scene.clearance_many(paths.shapes(questions, part), np.inf, mask, True, threads, at=at)
@@ -635,14 +608,8 @@ class SweepBatch(PathBatch):
         which = np.where(timed, spans.which, NOW)
         return spans._replace(which=which, unknown=(spans.unknown | back) & timed)
 
-    def _ask(
-        self,
-        scene: NodeScene,
-        questions: Poses,
-        at: Times | None = None,
-        until: Times | None = None,
-    ) -> Any:
-        poses = super()._ask(scene, questions, until)
+    def _ask(self, scene: NodeScene, questions: Poses, at: At, until: At) -> Any:
+        poses = super()._ask(scene, questions, until, until)
         before, mask = questions.before, self.view.mask
         starts, turns = before.places, rotations.set_ones(before.turns)
         goals, goal_turns = questions.places, rotations.set_ones(questions.turns)
