@@ -54,7 +54,7 @@ STATE_PLACES = 6  # so far a file holds them
     REINSERTED,
     REFITTED,
     REBUILDS,
-    ASKS,  # until bounds of moving nodes are looked at again, see `motion.bounds`
+    QUERIES_LEFT,  # until bounds of moving nodes are looked at again, see `motion.bounds`
 ) = range(6, 21)
 RECENT = 21  # here begins a ring of the slots that were written last
 RECENT_PLACES = 128
