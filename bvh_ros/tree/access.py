@@ -105,5 +105,5 @@ from .store.turns import (
     begin_query,
     count_rays,
     end_query,
+    in_threads,
 )
-from .store.workers import in_threads

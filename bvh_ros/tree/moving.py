@@ -16,8 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from .build.building import refit_all
-from .build.rebuilding import build_anew, is_due, look_at_cost, rebalance
+from .build.building import build_anew, is_due, look_at_cost, rebalance, refit_all
 from .compiler import inlined, lean_kernel, prefetch, stack_array
 from .insertion import insert_leaf, remove_leaf
 from .nodes import (

@@ -26,8 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..area import longest_edge, node_area, unit_scale
-from ..build.building import post_order
-from ..build.rebuilding import count_leaves
+from ..build.building import count_leaves, post_order
 from ..compiler import WIDTH, inlined, lean_kernel, stack_array
 from ..nodes import (
     COUNT,

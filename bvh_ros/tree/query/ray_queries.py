@@ -15,8 +15,7 @@ from ..checks import INT64
 from ..nodes import ALL, COUNT, NONE, Tree, View
 from ..results import RayHit, RayHits
 from ..store.arrays import Floats, Ids
-from ..store.turns import ANY_VERSION, IS_CHANGED, NOT_FINITE, REFUSED, accepted
-from ..store.workers import in_threads
+from ..store.turns import ANY_VERSION, IS_CHANGED, NOT_FINITE, REFUSED, accepted, in_threads
 from ..timed import NOW, Timed
 from .ray import (
     ANY,
