@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bvh_ros import DynamicBVH
-from bvh_ros.ros.cdr import any_message
+from bvh_ros.ros.cdr import path
 from bvh_ros.scene import Mesh, NodeScene, Numbered, ShapeKind, Shapes
 from bvh_ros.scene.cast.arguments import Rays
 from bvh_ros.scene.cast.batch import first_hits, first_of_one
@@ -362,13 +362,13 @@ def _points(needs: Needs) -> None:
 
 
 def _paths(needs: Needs) -> None:
-    any_message.exercise()
+    path.read(path.EMPTY)
     for scene in scenes(needs):
         scene.clearance_many(Shapes.boxes([START], EDGE, [ABOUT_Z]), signed=True)
 
 
 def _polygons(needs: Needs) -> None:
-    any_message.exercise()
+    path.read(path.EMPTY)
     for scene in scenes(needs):
         scene.clearance_many(_prism(), signed=True)
 

@@ -7,10 +7,9 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-from nav_msgs.msg import Path
 from numpy.typing import NDArray
 
-from bvh_ros.ros.cdr.any_message import Columns, plan_of
+from bvh_ros.ros.cdr import path as decoder
 from bvh_ros.ros.conversions import rotations
 from bvh_ros.ros.conversions.query_clouds import Faults, Floats, take
 from bvh_ros.ros.world.frames import Transform
@@ -55,15 +54,10 @@ class PathPoses:
     real, height, has_radii = np.dtype(np.float64), 1, False
 
     def __init__(self, message: bytes, between: bool = False) -> None:
-        columns = Columns(message, plan_of(Path, ('header', 'poses')))
-        (self.frame_id,) = columns.texts('header.frame_id')
-        self.stamp: int = columns.stamps('header.stamp').item()
-        frames, own = 'poses.header.frame_id', 'header.frame_id'
-        elsewhere = (columns.counts(frames) > 0) & ~columns.repeats(frames, own)
-        poses, stamps = columns.numbers('poses.pose'), columns.stamps('poses.header.stamp')
-        places, turns = (np.ascontiguousarray(part) for part in (poses[:, :3], poses[:, 3:]))
-        self._poses = Poses(places, turns, elsewhere, stamps)
-        self.width = len(stamps)
+        path = decoder.read(message)
+        self.frame_id, self.stamp = path.frame_id, path.stamp
+        self._poses = Poses(path.positions, path.orientations, path.elsewhere, path.stamps)
+        self.width = len(path.stamps)
         if between:
             rows = np.maximum(np.arange(self.width) - 1, 0)
             self._poses = self._poses._replace(before=take(self._poses, rows))

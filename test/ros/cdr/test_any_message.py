@@ -80,7 +80,7 @@ def some_markers(count):
 
 
 @pytest.mark.parametrize('big_endian', [False, True])
-def test_many_rows(big_endian):
+def test_more_rows_than_there_is_room_for_at_first(big_endian):
     message = some_markers(200)
     columns = Columns(encode(message, big_endian), MARKERS)
     assert columns.texts('markers.ns') == [each.ns for each in message.markers]

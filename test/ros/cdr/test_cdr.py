@@ -23,8 +23,7 @@ from ros.conversions.marker_tables import table
 from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray, UVCoordinate
 
-from bvh_ros.ros.cdr import definitions, marker_array, reading
-from bvh_ros.ros.conversions.paths import PathPoses
+from bvh_ros.ros.cdr import definitions, marker_array, path, reading
 from bvh_ros.ros.conversions.times import nanoseconds
 
 LONG = os.environ.get('BVH_ROS_LONG_TESTS') == '1'
@@ -263,29 +262,28 @@ def paths(draw):
 @settings(max_examples=500 if LONG else 60, deadline=None)
 def test_paths_are_read_as_rclpy_reads_them(message, data):
     serialised = serialize_message(message)
-    found, own = PathPoses(serialised), message.header.frame_id
-    rows = found.rows(0, len(found))
+    found, own = path.read(serialised), message.header.frame_id
     poses = [stamped.pose for stamped in message.poses]
     frames = [stamped.header.frame_id for stamped in message.poses]
     stamps = [nanoseconds(stamped.header.stamp) for stamped in message.poses]
     elsewhere = [frame not in ('', own) for frame in frames]
     assert (found.frame_id, found.stamp) == (own, nanoseconds(message.header.stamp))
-    assert (rows.stamps.tolist(), rows.elsewhere.tolist()) == (stamps, elsewhere)
+    assert (found.stamps.tolist(), found.elsewhere.tolist()) == (stamps, elsewhere)
     places = [(p.position.x, p.position.y, p.position.z) for p in poses]
     turns = [(q.x, q.y, q.z, q.w) for q in (p.orientation for p in poses)]
-    np.testing.assert_array_equal(rows.places, np.reshape(places, (-1, 3)))
-    np.testing.assert_array_equal(rows.turns, np.reshape(turns, (-1, 4)))
+    np.testing.assert_array_equal(found.positions, np.reshape(places, (-1, 3)))
+    np.testing.assert_array_equal(found.orientations, np.reshape(turns, (-1, 4)))
     cut = data.draw(st.integers(0, len(serialised) - 4))
     if poses:
-        with pytest.raises(ValueError, match=r'beyond the end|too few'):
-            PathPoses(serialised[:cut])
+        with pytest.raises(ValueError, match=r'path|pose|bytes'):
+            path.read(serialised[:cut])
     flipped = bytearray(serialised)
     flipped[data.draw(st.integers(0, len(flipped) - 1))] ^= 1 << data.draw(st.integers(0, 7))
     with contextlib.suppress(ValueError):  # it may be another path, but nothing else is raised
-        PathPoses(bytes(flipped))
+        path.read(bytes(flipped))
 
 
 def test_a_path_that_announces_poses_it_has_not_takes_no_memory():
-    begin = b'\0\1\0\0' + bytes(12)
-    with pytest.raises(ValueError, match="the field 'poses' goes on beyond the end"):
-        PathPoses(begin + b'\xff' * 4 + bytes(1000))
+    begin = path.EMPTY[:4] + bytes(12)
+    with pytest.raises(ValueError, match='4294967295 poses do not fit'):
+        path.read(begin + b'\xff' * 4 + bytes(1000))
