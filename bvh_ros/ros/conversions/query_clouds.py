@@ -42,6 +42,11 @@ Faults = dict[str, Any]  # (n,) bools by reason
 # ---- Questions.
 
 
+def improper(lengths: Floats) -> NDArray[np.bool_]:
+    """Which lengths or durations are not finite, or negative."""
+    return np.logical_not(np.isfinite(lengths) & (lengths >= 0.0))
+
+
 class Rays(NamedTuple):
     """The rays of one cloud, in its frame; nothing is known of their values yet."""
 
@@ -66,12 +71,10 @@ class Rays(NamedTuple):
         with np.errstate(over='ignore', invalid='ignore'):
             endless = ~np.isfinite(self.directions * self.t_max[:, None]).all(axis=1)
         if self.radii is not None:
-            good = np.isfinite(self.radii) & (self.radii >= 0.0)
-            faults['its radius is not finite, or negative'] = ~good
+            faults['its radius is not finite, or negative'] = improper(self.radii)
             faults['it has a radius, and no end by t_max'] = (self.radii > 0.0) & endless
         if self.durations is not None:
-            good = np.isfinite(self.durations) & (self.durations >= 0.0)
-            faults['its duration is not finite, or negative'] = ~good
+            faults['its duration is not finite, or negative'] = improper(self.durations)
             faults['it has a duration, and no end by t_max'] = (self.durations != 0.0) & endless
         return faults
 
@@ -125,14 +128,10 @@ class Boxes(NamedTuple):
             reach = np.abs(self.places).max(axis=1) + 2.0 * self.sizes.sum(axis=1)
         return {
             'its centre is not finite': ~np.isfinite(self.places).all(axis=1),
-            'its size is not finite, or negative': ~(
-                np.isfinite(self.sizes) & (self.sizes >= 0.0)
-            ).all(axis=1),
+            'its size is not finite, or negative': improper(self.sizes).any(axis=1),
             'its orientation is not finite': ~np.isfinite(self.turns).all(axis=1),
             rotations.OFF: rotations.are_off(self.turns),
-            'its tolerance is not finite, or negative': ~(
-                np.isfinite(self.tolerances) & (self.tolerances >= 0.0)
-            ),
+            'its tolerance is not finite, or negative': improper(self.tolerances),
             'it reaches beyond the largest double': ~np.isfinite(reach),
         }
 

@@ -32,6 +32,7 @@ from bvh_ros.ros.conversions.query_clouds import (
     Masks,
     Points,
     Rays,
+    improper,
     take,
 )
 from bvh_ros.ros.conversions.times import nanoseconds
@@ -118,14 +119,12 @@ class SweepRows(NamedTuple):
         faults = start.faults()
         del faults['its max_distance is NaN or negative']
         faults |= {f'at its goal, {why}': rows for why, rows in goal.faults().items()}
-        good = np.isfinite(self.tolerances) & (self.tolerances >= 0.0)
-        faults['its tolerance is not finite, or negative'] = ~good
+        faults['its tolerance is not finite, or negative'] = improper(self.tolerances)
         with np.errstate(over='ignore', invalid='ignore'):
             far = np.isfinite(self.goals - self.places).all(axis=1)
         faults['its way is too long'] = np.logical_not(far)
         if self.durations is not None:
-            good = np.isfinite(self.durations) & (self.durations >= 0.0)
-            faults['its duration is not finite, or negative'] = ~good
+            faults['its duration is not finite, or negative'] = improper(self.durations)
         return faults
 
     def moved(self, transform: Transform) -> SweepRows:
