@@ -1,6 +1,6 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""`bvh_demo`: start the node, move obstacles, ask who is in the way, print the answers, end.
+"""`bvh_demo`: start the node, move obstacles, ask for obstacles, print the answers, end.
 
 Everything goes over real ROS 2: the node runs in a process of its own, obstacles are published
 as markers, questions are service calls.
@@ -25,10 +25,10 @@ from visualization_msgs.msg import MarkerArray
 
 from bvh_ros import scenarios
 from bvh_ros.client import BvhClient, BvhTimeoutError
-from bvh_ros.questions import Table, in_words
 from bvh_ros.ros import large_messages
 from bvh_ros.ros.compilation import CLEAR
 from bvh_ros.ros.running import init, keep_apart, running_node, wait_until_ready
+from bvh_ros.scenarios import Table, in_words
 
 MOST_DOMAIN = 232  # of ROS_DOMAIN_ID: beyond, there are no ports
 PRINT_EVERY = 1.0  # seconds between the answers that are printed; all are counted
@@ -79,10 +79,10 @@ def _ask_first(node: Node, client: BvhClient, began: float) -> None:
     publisher.publish(scenarios.markers(boxes, ()))
     while (answer := ray.ask(client)) is None:
         time.sleep(0.01)
-    who, where = in_words(answer)
+    names, where = in_words(answer)
     bar = CLEAR if sys.stdout.isatty() else ''  # the node's, on the same terminal
     after = f'{time.monotonic() - began:.1f} s'
-    print(f'{bar}first answer after {after}: {ray.text}: {who} {where}', flush=True)
+    print(f'{bar}first answer after {after}: {ray.text}: {names} {where}', flush=True)
     publisher.publish(scenarios.markers((), (), begin=True))
     while ray.ask(client) is not None:  # `play` waits for its own first frame
         time.sleep(0.01)
@@ -188,10 +188,10 @@ def _view(name: str) -> Iterator[None]:
 
 def _draw(options: argparse.Namespace) -> int:
     """Draw a picture; nothing is published for that, and no node runs."""
-    from bvh_ros.view import still
+    from bvh_ros.view import recorded
 
     try:
-        still.draw(options.picture, options.replay, options.topic)
+        recorded.draw(options.picture, options.replay, options.topic)
     except (RuntimeError, ValueError, OSError) as error:
         print(f'bvh_demo: {error}', file=sys.stderr)
         return 1

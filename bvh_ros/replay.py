@@ -1,13 +1,17 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Play a recording to a node that is configured for it, and ask about a scene nobody knows yet."""
+"""Play a recording to a node that is configured for it, and query a scene of unknown content."""
 
 from __future__ import annotations
 
 import re
 import time
+from typing import NamedTuple
 
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray
 from nav_msgs.msg import OccupancyGrid
+from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile
@@ -17,8 +21,98 @@ from visualization_msgs.msg import MarkerArray
 
 from bvh_ros.bags import BagError, Recording, Track
 from bvh_ros.client import BvhClient
-from bvh_ros.extent import Extent, Watch
-from bvh_ros.questions import Question, Table
+from bvh_ros.ros.parts.diagnostics import HIGHEST, LOWEST
+from bvh_ros.scenarios import Question, Table
+
+# ---- How many obstacles a node has, and between which corners, as its diagnostics tell
+
+
+Vector = tuple[float, float, float]
+
+
+class Extent(NamedTuple):
+    """Where the obstacles are."""
+
+    number: int
+    low: Vector
+    high: Vector
+
+    def middle(self) -> Vector:
+        """The point halfway."""
+        x, y, z = (0.5 * (low + high) for low, high in zip(self.low, self.high, strict=True))
+        return x, y, z
+
+    def in_words(self) -> str:
+        """Say how many there are, and where."""
+        low, high = (
+            '({:.1f}, {:.1f}, {:.1f})'.format(*corner) for corner in (self.low, self.high)
+        )
+        return f'{self.number} obstacles between {low} and {high}'
+
+
+class Watch:
+    """Listens to the diagnostics of one node, on a node of its own.
+
+    Parameters
+    ----------
+    node : rclpy.node.Node
+        Gives the context and the namespace.
+    name : str
+        Of the bvh node, in that namespace or with its own.
+    """
+
+    def __init__(self, node: Node, name: str) -> None:
+        self.extent: Extent | None = None  # as last reported; None while there are no obstacles
+        self._node = rclpy.create_node('watch', namespace=node.get_namespace())
+        self._status = f'{self._node.resolve_service_name(name).lstrip("/")}: world'
+        self._executor = SingleThreadedExecutor()
+        self._executor.add_node(self._node)
+        self._same = 0  # times in a row that nothing had changed
+        self._node.create_subscription(DiagnosticArray, '/diagnostics', self._receive, 10)
+
+    def __enter__(self) -> Watch:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._executor.shutdown()
+        self._node.destroy_node()
+
+    def wait(self, until: float) -> None:
+        """Listen until then (time.monotonic), and at least to what waits."""
+        self._executor.spin_once(0.0)
+        while (left := until - time.monotonic()) > 0.0:
+            self._executor.spin_once(left)
+
+    def until_quiet(self, timeout: float) -> None:
+        """Listen until there are obstacles and they do not change any more."""
+        deadline = time.monotonic() + timeout
+        self._same = 0
+        while self._same < 2 and time.monotonic() < deadline:
+            self._executor.spin_once(0.1)
+
+    def _receive(self, message: DiagnosticArray) -> None:
+        for status in message.status:
+            if status.name == self._status:
+                values = {pair.key: pair.value for pair in status.values}
+                extent = _extent(values)
+                self._same = self._same + 1 if extent is not None and extent == self.extent else 0
+                self.extent = extent
+
+
+def _extent(values: dict[str, str]) -> Extent | None:
+    if LOWEST not in values:
+        return None
+    low, high = ([float(text) for text in values[key].split(',')] for key in (LOWEST, HIGHEST))
+    return Extent(int(values['obstacles']), _vector(low), _vector(high))
+
+
+def _vector(corner: list[float]) -> Vector:
+    x, y, *rest = corner
+    return x, y, rest[0] if rest else 0.0
+
+
+# ---- Playing a recording to a node
+
 
 MESSAGES = {'MarkerArray': MarkerArray, 'PointCloud2': PointCloud2, 'OccupancyGrid': OccupancyGrid}
 SOURCE = 'replay'  # begins the names of the node's sources, and of obstacles that have none
@@ -118,7 +212,7 @@ def _ask_at_the_end(client: BvhClient, table: Table, watch: Watch, t: float) -> 
 
 
 def questions(extent: Extent) -> list[Question]:
-    """What can be asked about any scene."""
+    """Questions that fit any scene."""
     x, y, z = middle = extent.middle()
     reach_x, reach_y = extent.high[0] - x + 1.0, extent.high[1] - y + 1.0
     return [
@@ -131,6 +225,6 @@ def questions(extent: Extent) -> list[Question]:
             lambda c: c.raycast(middle, (x, y + reach_y, z), 0.3),
         ),
         Question(
-            'who is within 1 m of the middle', lambda c: c.overlap(middle, middle, tolerance=1.0)
+            'what is within 1 m of the middle', lambda c: c.overlap(middle, middle, tolerance=1.0)
         ),
     ]

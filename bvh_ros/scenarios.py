@@ -1,13 +1,15 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Worlds frame by frame: the warehouse of the demo, and track files; what to ask about them."""
+"""Worlds frame by frame: the warehouse of the demo, and track files; questions about them."""
 
 from __future__ import annotations
 
 import csv
 import itertools
 import math
-from collections.abc import Iterable, Iterator
+import statistics
+import time
+from collections.abc import Callable, Iterable, Iterator
 from operator import itemgetter
 from pathlib import Path
 from typing import NamedTuple
@@ -15,8 +17,68 @@ from typing import NamedTuple
 import numpy as np
 from visualization_msgs.msg import Marker, MarkerArray
 
-from bvh_ros.questions import Question
+from bvh_ros.client import BvhClient, BvhError, Hit
 from bvh_ros.scene import Scene, ShapeKind, Shapes
+
+# ---- What the demo asks a running node, and the table of the answers
+
+
+class Question(NamedTuple):
+    """One call of the client, and how the table names it."""
+
+    text: str
+    ask: Callable[[BvhClient], Hit | list[Hit] | None]
+
+
+class Table:
+    """Prints some answers and keeps the time of all."""
+
+    def __init__(self) -> None:
+        self.times: list[float] = []
+        self.errors = 0
+
+    def head(self) -> None:
+        """Print the column names."""
+        print(f'\n{"t [s]":>6}  {"question":34} {"answer":26} {"at x, y, z [m]":24} {"ms":>6}')
+
+    def ask(self, client: BvhClient, question: Question, t: float, *, show: bool) -> None:
+        """Ask one question."""
+        began = time.perf_counter()
+        try:
+            answer = question.ask(client)
+        except BvhError as error:
+            self.errors += 1
+            print(f'{t:6.1f}  {question.text:34} error: {error}')
+            return
+        took = 1e3 * (time.perf_counter() - began)
+        self.times.append(took)
+        if show:
+            names, where = in_words(answer)
+            print(f'{t:6.1f}  {question.text:34} {names:26} {where:24} {took:6.2f}')
+
+    def summary(self) -> str:
+        """Say how it went."""
+        if not self.times:
+            return 'no question was answered'
+        return (
+            f'{len(self.times)} questions answered, {self.errors} errors; round trip over ROS 2: '
+            f'median {statistics.median(self.times):.2f} ms, slowest {max(self.times):.2f} ms'
+        )
+
+
+def in_words(answer: Hit | list[Hit] | None) -> tuple[str, str]:
+    """Names of the hits, and the place of the first one."""
+    hits = [] if answer is None else [answer] if isinstance(answer, Hit) else answer
+    if not hits:
+        return 'free', ''
+    names = ', '.join(hit.name for hit in hits[:2])
+    if len(hits) > 2:
+        names += f', +{len(hits) - 2}'
+    return names, '({:.2f}, {:.2f}, {:.2f})'.format(*hits[0].point)
+
+
+# ---- The warehouse, and track files
+
 
 DURATION = 15.0  # seconds of the warehouse
 RATE = 10.0  # frames a second of the warehouse
@@ -38,7 +100,7 @@ class Thing(NamedTuple):
 
 
 class Frame(NamedTuple):
-    """The world at one moment, and what is asked about it."""
+    """The world at one moment, and questions about it."""
 
     t: float
     things: list[Thing]
@@ -54,7 +116,7 @@ def warehouse() -> Iterator[Frame]:
             'robot, radius 0.4 m, drives 20 m',
             lambda c: c.raycast((0, -2.4, 0.5), (20, -2.4, 0.5), 0.4),
         ),
-        Question('who is in the loading zone', lambda c: c.overlap((8, -2, 0), (12, 2, 2))),
+        Question('what is in the loading zone', lambda c: c.overlap((8, -2, 0), (12, 2, 2))),
     ]
     for step in range(int(DURATION * RATE)):
         t = step / RATE
@@ -66,7 +128,7 @@ def warehouse() -> Iterator[Frame]:
                 for i in range(3)
             ),
         ]
-        if t < 0.6 * DURATION:  # then somebody picks it up
+        if t < 0.6 * DURATION:  # then a person picks it up
             height = 0.3 + abs(math.sin(2.0 * t))
             moving.append(Thing('sphere', 'ball', 0, (10.0, 1.5, height), (0.6, 0.6, 0.6), 0.0))
         yield Frame(t, racks + moving, questions)
@@ -139,14 +201,14 @@ def _questions_of(car: Thing) -> list[Question]:
     name = f'{car.namespace}/{car.number}'
     return [
         Question(
-            f'{name}: who is ahead, 50 m', lambda c: c.raycast(ahead(bumper), ahead(bumper + 50))
+            f'{name}: what is ahead, 50 m', lambda c: c.raycast(ahead(bumper), ahead(bumper + 50))
         ),
         Question(
             f'{name}: 1.2 m wide behind, 50 m',
             lambda c: c.raycast(ahead(-bumper - 0.6), ahead(-bumper - 50.6), 0.6),
         ),
         Question(
-            f'{name}: who else is within 8 m',
+            f'{name}: what else is within 8 m',
             lambda c: [
                 hit for hit in c.overlap(car.centre, car.centre, tolerance=8.0) if hit.name != name
             ],

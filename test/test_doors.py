@@ -10,7 +10,7 @@ import bvh_ros
 PACKAGE = Path(bvh_ros.__file__).parent
 DOORS = 'tree', 'tree.access', 'tree.motion.access', 'tree.compiler'
 # They measure the inside of the tree: they replace parts of kernels, or count kernels.
-INSIDERS = {f'report/{name}.py' for name in ('error/plain', 'speed', 'compiled_kernels')}
+INSIDERS = {f'report/{name}.py' for name in ('error/methods', 'speed', 'compiled_kernels')}
 
 
 def imports(path):

@@ -38,9 +38,9 @@ class BvhClient:
     then, or not at all, and in callbacks, too; there they hold up everything else, so the
     `_async` forms are better. Any thread may call, and a node may have several clients.
 
-    Several nodes with a region each (their parameter) are asked as if they were one:
+    Several nodes with a region each (their parameter) are queried as if they were one:
 
-    - A query is asked of the nodes whose region it meets. Their answers are merged: nearest
+    - A query goes to the nodes whose region it meets. Their answers are merged: nearest
       first, equal distances by name, an obstacle of several regions once.
     - If one of these nodes does not answer, or the query leaves all regions, that is an error, in
       a batch an UNANSWERED row: what no node knows is not free.
@@ -94,7 +94,7 @@ class BvhClient:
     def regions(self) -> list[tuple[NDArray[np.float64], NDArray[np.float64]]]:
         """Return lower and upper corner of the region of each of several nodes, m."""
         if self._one is not None:
-            raise ValueError('regions are asked of several nodes: give a sequence of names')
+            raise ValueError('only several nodes have regions: give a sequence of names')
         coverage = self._nodes.coverage(self.timeout)
         return list(zip(coverage.lo, coverage.hi, strict=True))
 
@@ -406,7 +406,7 @@ class BvhClient:
         frame_id, timeout
             As of `raycast_many`, which says what is raised, too.
         between : bool
-            Check the ways between the poses, too: for a node whose `path_between` is on. The
+            Check the motion between the poses, too: for a node whose `path_between` is on. The
             footprint goes along straight lines and turns at constant rate; see
             `Scene.sweep_shape`. One node only.
 
@@ -423,11 +423,11 @@ class BvhClient:
         Raises
         ------
         BvhError
-            Also if `between` is asked of a node whose `path_between` is off.
+            Also with `between`, if `path_between` of the node is off.
         """
-        ways = checks.flag('between', between)
-        batch = messages.poses(positions, orientations, at, between=ways)
-        if ways:
+        between = checks.flag('between', between)
+        batch = messages.poses(positions, orientations, at, between=between)
+        if between:
             self._only()
         answers: Near | PathHits = self._answers(batch, frame_id, timeout)
         return answers
@@ -473,11 +473,11 @@ class BvhClient:
             If the package bvh_msgs is not installed, or no row is answered, with the node's
             reason; BvhTimeoutError if the node does not answer, or does not offer the service.
         ValueError
-            If an argument has the wrong form, or several nodes are asked.
+            If an argument has the wrong form, or the client has several nodes.
         """
         node = self._only()
-        asked = typed.clearances(shapes, max_distance, mask, signed, at, frame_id)
-        clearances: Clearances = node.typed_answers(asked, self._seconds(timeout))
+        question = typed.clearances(shapes, max_distance, mask, signed, at, frame_id)
+        clearances: Clearances = node.typed_answers(question, self._seconds(timeout))
         return clearances
 
     def sweep_shape_many(
@@ -494,7 +494,7 @@ class BvhClient:
         frame_id: str = '',
         timeout: float | None = None,
     ) -> Sweeps:
-        """Return the first obstacles on the ways of n shapes from their poses to others, by the
+        """Return the first obstacles that n shapes touch from their poses to others, by the
         service `query/sweep`. The centre goes along a line, and the shape turns at constant rate.
 
         Parameters
@@ -520,11 +520,11 @@ class BvhClient:
             `obstacles`, `t` and `free_until` (n,), `points` and `normals` (n, 3).
         """
         node = self._only()
-        asked = typed.sweeps(
+        question = typed.sweeps(
             *(shapes, goal_positions, goal_orientations, tolerance, mask, resolution),
             *(at, until, frame_id),
         )
-        sweeps: Sweeps = node.typed_answers(asked, self._seconds(timeout))
+        sweeps: Sweeps = node.typed_answers(question, self._seconds(timeout))
         return sweeps
 
     def raycast_many_async(

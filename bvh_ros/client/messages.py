@@ -163,7 +163,7 @@ class Batch(NamedTuple):
 
     kind: str
     """Of `node.KINDS`."""
-    asked: Rays | Points | Boxes | Poses
+    questions: Rays | Points | Boxes | Poses
     begin: int | None
     """ns: the earliest time of the rows, where a stamp can be near it; None: now."""
     message: Callable[[int, Any], Any]
@@ -171,7 +171,7 @@ class Batch(NamedTuple):
 
     def __len__(self) -> int:
         """Return the number of rows."""
-        return len(self.asked[0])
+        return len(self.questions[0])
 
 
 def rays(

@@ -12,7 +12,6 @@ from threading import Lock
 from typing import Any, NamedTuple
 
 import numpy as np
-from builtin_interfaces.msg import Time as Stamp
 from diagnostic_msgs.msg import DiagnosticStatus
 from nav_msgs.msg import Path
 from nav_msgs.srv import GetPlan
@@ -37,19 +36,20 @@ from bvh_ros.ros.conversions.query_clouds import (
     Touched,
     read_answers,
 )
+from bvh_ros.ros.conversions.times import nanoseconds
 from bvh_ros.ros.qos import REPEATED_REPLIES, REQUESTS, repeated
 
 QUERIES = 'raycast', 'raycast_all', 'overlap', 'nearest'
 HEARTBEAT = 3.0  # seconds: the default of Fast DDS, with which what is lost is sent again
 LATE = 2  # of several requests, the number of the reliable one while that service is held up
 # Fast DDS sends a heartbeat with each message of a publisher that keeps only the latest one, so
-# what is lost is sent again at once. What the next message has replaced is asked again.
+# what is lost is sent again at once. What the next message has replaced is sent again.
 LATEST = QoSProfile(depth=1)
 JITTER = 1_000_000  # ns, of a stamp near the clock
 TIME_JITTER = 1_000_000_000  # ns, of a stamp near the times of the rows: clients may share these
 COMPILING_LOOK = 0.2  # seconds between two looks whether the node still compiles
 COMPILING_PATIENCE = 1.0  # seconds for an answer to that: a node that compiles is busy
-PARAMETERS_PATIENCE = 0.2  # seconds until the node is asked again for its parameters
+PARAMETERS_PATIENCE = 0.2  # seconds until the request for parameters is sent again
 NAMES_TYPE = 'diagnostic_msgs/msg/DiagnosticStatus'
 
 
@@ -134,7 +134,7 @@ class OneNode:
         question = self.batch_question(nothing)
         # An error is an answer, too.
         if not self._waiting.until(question.answer.done, timeout, [question]):
-            raise BvhTimeoutError(f'{question.asked} did not answer within {timeout:g} s')
+            raise BvhTimeoutError(f'{question.name} did not answer within {timeout:g} s')
         question.drop()
 
     def hits(self, query: str, request: GetPlan.Request, timeout: float) -> list[Hit]:
@@ -148,19 +148,19 @@ class OneNode:
         """Return the answers to a batch."""
         return self._waiting.result(self.batch_question(batch, frame_id, stamp), timeout)
 
-    def typed_answers(self, asked: Typed, timeout: float) -> Any:
+    def typed_answers(self, question: Typed, timeout: float) -> Any:
         """Return the answers of a typed service; BvhTimeoutError if the node does not offer it."""
         deadline = time.monotonic() + timeout
         with self._opening:
-            if asked.query not in self._services:
-                self._services[asked.query] = self._service(asked.kind, asked.query)
-        service = self._services[asked.query]
+            if question.query not in self._services:
+                self._services[question.query] = self._service(question.kind, question.query)
+        service = self._services[question.query]
         if not self._waiting.until(service.reliable.service_is_ready, timeout):
             raise BvhTimeoutError(
-                f"no '{self.name}/{asked.query}' after {timeout:g} s: the node needs the package "
-                "bvh_msgs, and its parameter 'batch'"
+                f"no '{self.name}/{question.query}' after {timeout:g} s: the node needs the "
+                "package bvh_msgs, and its parameter 'batch'"
             )
-        call = _Call(service, asked.request, asked.read, None, asked.work)
+        call = _Call(service, question.request, question.read, None, question.work)
         return self._waiting.result(call, left(deadline))
 
     def question(
@@ -170,7 +170,7 @@ class OneNode:
         read: Callable[[GetPlan.Response], Any] = messages.hits,
         executor: Executor | None = None,
     ) -> Question:
-        """Return one question, which is not asked yet."""
+        """Return one question, which is not sent yet."""
         return _Call(self._services[query], request, read, executor)
 
     def batch_question(
@@ -182,7 +182,7 @@ class OneNode:
         some: Any = slice(None),
         executor: Executor | None = None,
     ) -> Question:
-        """Return a question about some rows of a batch, which is not asked yet."""
+        """Return a question about some rows of a batch, which is not sent yet."""
         with self._opening:
             if batch.kind not in self._topics:
                 self._topics[batch.kind] = _Topic(self._node, self.name, batch.kind, self._waiting)
@@ -250,7 +250,7 @@ class OneNode:
             if not self._waiting.until(client.service_is_ready, timeout):
                 raise BvhTimeoutError(f'no {client.srv_name} after {timeout:g} s')
             # A reply is lost if the service has not discovered its client within 0.1 s, as happens
-            # under load (ros2/rmw_fastrtps#842). So this, too, is asked again.
+            # under load (ros2/rmw_fastrtps#842). So this, too, is sent again.
             call = _Call(service, request, lambda reply: [*reply.values], None)
             values: list[Any] = self._waiting.result(call, left(deadline))
             return values
@@ -363,8 +363,8 @@ class _Topic:
     def new_stamp(self, near: int | None = None) -> int:
         """Return a stamp (ns) that no other question has, just before `near`, or before now.
 
-        It is random: two clients that ask in one tick of a simulated clock must tell their
-        answers apart. Rows count seconds from it, as doubles, so a stamp near their times keeps
+        It is random: two clients that ask in one tick of a simulated clock must distinguish
+        their answers. Rows count seconds from it, as doubles, so a stamp near their times keeps
         their nanoseconds.
         """
         jitter = JITTER if near is None else TIME_JITTER
@@ -375,8 +375,8 @@ class _Topic:
                 return stamp
 
     def _receive(self, cloud: PointCloud2) -> None:
-        stamp = _nanoseconds(cloud.header.stamp)
-        if stamp == _nanoseconds(self._hello.header.stamp) and not self.is_heard:
+        stamp = nanoseconds(cloud.header.stamp)
+        if stamp == nanoseconds(self._hello.header.stamp) and not self.is_heard:
             self.is_heard = True
             for question in [*self.open.values()]:
                 question.ask_anew()
@@ -393,7 +393,7 @@ class _BatchQuestion(Question):
     def __init__(self, topic: _Topic, message: Any, executor: Executor | None) -> None:
         super().__init__(topic.name, topic.patience, executor)
         self._topic, self._message = topic, message
-        self._stamp = _nanoseconds(message.header.stamp)
+        self._stamp = nanoseconds(message.header.stamp)
         self._rows = len(message.poses) if isinstance(message, Path) else message.width
         self._work = self._rows * topic.kind.work
         self._began = 0.0
@@ -431,7 +431,3 @@ class _BatchQuestion(Question):
         if not self.answer.done():
             self._topic.is_heard = False
         super().drop()
-
-
-def _nanoseconds(stamp: Stamp) -> int:
-    return int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)

@@ -1,13 +1,14 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Several bvh nodes that share a world, a region each, asked as if they were one."""
+"""Several bvh nodes that share a world, a region each, queried as if they were one."""
 
 from __future__ import annotations
 
 import heapq
+import itertools
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
@@ -15,13 +16,207 @@ from nav_msgs.srv import GetPlan
 from numpy.typing import NDArray
 from rclpy.node import Node
 
-from bvh_ros.client.coverage import Box, Coverage, Floats, grown, swept
-from bvh_ros.client.merging import HANDLE_BITS, Nearest
 from bvh_ros.client.messages import Batch, BvhError, BvhTimeoutError, Hit
 from bvh_ros.client.node import KINDS, OneNode
 from bvh_ros.client.waiting import Question, Waiting, left
 from bvh_ros.ros.conversions import query_clouds
-from bvh_ros.ros.conversions.query_clouds import Boxes, Points, Rays
+from bvh_ros.ros.conversions.query_clouds import FREE, UNANSWERED, Boxes, Points, Rays
+
+# ---- Which regions a box touches, and whether all of it lies in regions
+
+
+Floats = NDArray[np.float64]
+Box = tuple[Floats, Floats]  # lower and upper corners, (n, 3) m
+
+
+class Coverage:
+    """The regions of several nodes, closed boxes.
+
+    Along each axis their finite faces cut the world into planes and gaps. A cell is a plane or a
+    gap of each axis. A region holds all of a cell or nothing. So the number of cells of a box
+    that lie in no region is a sum over a table.
+
+    Parameters
+    ----------
+    lo, hi : ndarray, shape (regions, 3)
+        Corners, m; may be infinite.
+    """
+
+    def __init__(self, lo: Floats, hi: Floats) -> None:
+        self.lo, self.hi = lo, hi
+        faces = np.concatenate((lo, hi))
+        self._planes = [np.unique(x[np.isfinite(x)]) for x in faces.T]
+        unknown = np.ones([2 * len(planes) + 1 for planes in self._planes], np.int64)
+        for first, last in zip(self._cells(lo), self._cells(hi), strict=True):
+            unknown[tuple(slice(a, b + 1) for a, b in zip(first, last, strict=True))] = 0
+        self._unknown_below = np.zeros([size + 1 for size in unknown.shape], np.int64)
+        self._unknown_below[1:, 1:, 1:] = unknown.cumsum(0).cumsum(1).cumsum(2)
+
+    def owners(self, box: Box) -> NDArray[np.bool_]:
+        """Return which regions together know all that touches each box, (n, regions): the first
+        one that holds all of it; where there is none, all that the box touches.
+        """
+        lo, hi = box[0][:, None], box[1][:, None]
+        whole: Any = ((self.lo <= lo) & (self.hi >= hi)).all(axis=2)
+        first = whole & (np.cumsum(whole, axis=1) == 1)
+        touched = ((self.lo <= hi) & (self.hi >= lo)).all(axis=2)
+        return np.asarray(np.where(whole.any(axis=1)[:, None], first, touched))
+
+    def covers(self, box: Box) -> NDArray[np.bool_]:
+        """Whether every point of each box lies in a region, (n,)."""
+        ends = self._cells(box[0]), self._cells(box[1]) + 1
+        unknown = np.zeros(len(box[0]), np.int64)
+        for corner in itertools.product((0, 1), repeat=3):
+            sign = -1 if sum(corner) % 2 == 0 else 1
+            unknown += (
+                sign
+                * self._unknown_below[tuple(ends[end][:, axis] for axis, end in enumerate(corner))]
+            )
+        return unknown == 0
+
+    def holds(self, regions: NDArray[np.int64], places: Floats) -> NDArray[np.bool_]:
+        """Whether each place, (n, 3), lies in the region of a number, (n,)."""
+        inside = (self.lo[regions] <= places) & (self.hi[regions] >= places)
+        return np.asarray(inside.all(axis=1))
+
+    def _cells(self, places: Floats) -> NDArray[np.int64]:
+        """Numbers of cells along each axis, (n, 3): planes are odd, gaps are even."""
+        cells = np.empty(places.shape, np.int64)
+        for axis, planes in enumerate(self._planes):
+            below = np.searchsorted(planes, places[:, axis], 'left')
+            cells[:, axis] = below + np.searchsorted(planes, places[:, axis], 'right')
+        return cells
+
+
+def grown(box: Box, lengths: Any) -> Box:
+    """Boxes that are larger by lengths, (n,) or (n, 3), on both sides; rounded outwards."""
+    by = np.asarray(lengths)
+    by = by[:, None] if by.ndim == 1 else by
+    return -total(-box[0], by), total(box[1], by)
+
+
+def total(a: Floats, b: Any) -> Floats:
+    """a + b, or the next larger double where that is not exact."""
+    with np.errstate(over='ignore', invalid='ignore'):
+        rounded = a + b
+        share = rounded - a
+        exact = (a - (rounded - share)) + (b - share) == 0.0  # Knuth, TAOCP 2, 4.2.2, theorem B
+        return np.where(exact, rounded, np.nextafter(rounded, np.inf))
+
+
+def swept(origins: Floats, directions: Floats, t: Floats, radii: Any) -> Box:
+    """Bounds of balls that go along ``origins + t * directions``; rounded outwards."""
+    lengths = t[:, None]
+    with np.errstate(over='ignore', invalid='ignore'):
+        moved = np.where(directions == 0.0, 0.0, lengths * directions)
+    exact = np.isin(np.abs(directions), (0.0, 1.0)) | np.isin(lengths, (0.0, 1.0))
+    most, least = (np.where(exact, moved, np.nextafter(moved, end)) for end in (np.inf, -np.inf))
+    lo = np.minimum(origins, -total(-origins, -least))
+    return grown((lo, np.maximum(origins, total(origins, most))), radii)
+
+
+# ---- Merging the answers of several nodes about the same rows: the nearest obstacle of each
+
+
+HANDLE_BITS = 32  # of an obstacle's number; above them is the number of its node
+
+Numbers = NDArray[np.int64]
+
+
+class Nearest:
+    """The nearest obstacle of each of n rows so far.
+
+    Of equal distances at one place, the answer of the node counts in whose region the place lies:
+    it knows all that is there. At different places the names decide, see `settle`.
+    """
+
+    def __init__(self, kind: Any, bad: NDArray[np.bool_], coverage: Coverage) -> None:
+        count = len(bad)
+        self._kind, self._coverage = kind, coverage
+        self.unknown = bad.copy()
+        """(n,) rows about which a node does not know all."""
+        blank: dict[str, Any] = {
+            't': np.inf,
+            'distances': np.inf,
+            'points': np.nan,
+            'normals': 0.0,
+            'obstacles': FREE,
+            'counts': 0,
+        }
+        self._columns: dict[str, Any] = {
+            name: np.full(
+                (count, 3) if name in ('points', 'normals') else count,
+                blank[name],
+                np.int64 if name in ('obstacles', 'counts') else np.float64,
+            )
+            for name in kind._fields
+        }
+        self._far = 't' if 't' in self._columns else 'distances'
+        self.distances = self._columns[self._far]
+        self._obstacles, self._points = self._columns['obstacles'], self._columns['points']
+        self._ties: list[tuple[Numbers, dict[str, Any]]] = []
+
+    def add(self, rows: Numbers, region: int, answer: Any) -> None:
+        """Add the answer of the node of a region about some rows."""
+        its = answer._asdict()
+        handles = its['obstacles'].astype(np.int64)
+        hit = (handles != FREE) & (handles != UNANSWERED)
+        self.unknown[rows[handles == UNANSWERED]] = True
+        its['obstacles'] = handles | region << HANDLE_BITS
+        if 'counts' in its:
+            self._count(rows[hit], its.pop('counts')[hit].astype(np.int64))
+        rows, its = rows[hit], {name: column[hit] for name, column in its.items()}
+        distances = its[self._far]
+        known = self._obstacles[rows] != FREE
+        nearer = ~known | (distances < self.distances[rows])
+        tied = known & (distances == self.distances[rows])
+        same = tied & (its['points'] == self._points[rows]).all(axis=1)
+        at_home = self._coverage.holds(its['obstacles'] >> HANDLE_BITS, its['points'])
+        other = self._coverage.holds(self._obstacles[rows] >> HANDLE_BITS, its['points'])
+        self._put(rows, its, nearer | (same & at_home & ~other))
+        apart = tied & ~same
+        if apart.any():
+            self._ties.append((rows[apart], {name: its[name][apart] for name in its}))
+
+    def _count(self, rows: Numbers, counts: Numbers) -> None:
+        """Counts of one node hold; those of several would count an obstacle of both twice."""
+        mine = self._columns['counts']
+        mine[rows] = np.where(mine[rows] > 0, UNANSWERED, counts)
+
+    def _put(self, rows: Numbers, its: Mapping[str, Any], better: NDArray[np.bool_]) -> None:
+        for name, column in its.items():
+            self._columns[name][rows[better]] = column[better]
+
+    def tied(self) -> set[int]:
+        """Obstacles whose names decide."""
+        tied: set[int] = set()
+        for rows, its in self._ties:
+            still = self._still(rows, its)
+            tied |= {*its['obstacles'][still].tolist(), *self._obstacles[rows[still]].tolist()}
+        return tied
+
+    def settle(self, names: Mapping[int, str]) -> None:
+        """Of obstacles as far away take the first by name; those without a name come last."""
+        last = chr(0x10FFFF)
+        for rows, its in self._ties:
+            ours = [names.get(one, last) for one in self._obstacles[rows].tolist()]
+            theirs = [names.get(one, last) for one in its['obstacles'].tolist()]
+            first = np.array([a < b for a, b in zip(theirs, ours, strict=True)], np.bool_)
+            self._put(rows, its, first & self._still(rows, its))
+
+    def _still(self, rows: Numbers, its: Mapping[str, Any]) -> NDArray[np.bool_]:
+        return np.asarray(its[self._far] == self.distances[rows])
+
+    def answer(self) -> Any:
+        """Return all rows; the unknown ones as a node writes an UNANSWERED row."""
+        lost = {'t': np.nan, 'distances': np.nan, 'points': np.nan, 'normals': 0.0}
+        for name, column in self._columns.items():
+            column[self.unknown] = lost.get(name, UNANSWERED)
+        return self._kind(**self._columns)
+
+
+# ---- Several bvh nodes that share a world, a region each, queried as if they were one
+
 
 LEAVES = 'the query leaves the regions of all nodes'
 PARAMETERS = ('region', 'planar', 'frame_id', 'footprint', 'nearest_limit')
@@ -33,7 +228,7 @@ Answer = TypeVar('Answer')
 
 
 class Region(NamedTuple):
-    """What one node says of itself."""
+    """The parameters of one node that matter here."""
 
     name: str
     publishers: frozenset[bytes]
@@ -52,14 +247,14 @@ class Region(NamedTuple):
 
 
 class Layout(NamedTuple):
-    """What all nodes say, in their order."""
+    """The regions of all nodes, in their order."""
 
     regions: list[Region]
     coverage: Coverage
 
     @property
     def nearest_limit(self) -> int:
-        """How many of the nearest obstacles all of them tell."""
+        """How many of the nearest obstacles all of them return."""
         return min(region.nearest_limit for region in self.regions)
 
     def footprint(self) -> tuple[float, ...]:
@@ -75,7 +270,7 @@ class Layout(NamedTuple):
 
 
 class Part(NamedTuple):
-    """Some rows of a batch that one node is asked."""
+    """Some rows of a batch, as a question to one node."""
 
     region: int
     rows: NDArray[np.int64]
@@ -89,12 +284,12 @@ class Part(NamedTuple):
 
 
 class SeveralNodes:
-    """Asks several nodes as if they were one.
+    """Queries several nodes as if they were one.
 
-    A query is asked of the nodes whose region it meets, of one alone if that holds all of it. The
+    A query goes to the nodes whose region it meets, to one alone if that holds all of it. The
     answers are merged: nearest first, equal distances by name, an obstacle of several regions
-    once. What no node knows is not free: it is an error, in a batch an UNANSWERED row. A node
-    that was started again is asked for its region anew.
+    once. What no node knows is not free: it is an error, in a batch an UNANSWERED row. The region
+    of a node that was started again is read anew.
     """
 
     def __init__(self, node: Node, names: Sequence[str], waiting: Waiting) -> None:
@@ -158,8 +353,8 @@ class SeveralNodes:
         def work(layout: Layout, deadline: float) -> list[Hit]:
             if not layout.coverage.covers(box)[0]:
                 raise BvhError(LEAVES)
-            met = layout.coverage.owners(box)[0]
-            return _merged(self._replies(query, request, met, deadline), distance)
+            regions = layout.coverage.owners(box)[0]
+            return _merged(self._replies(query, request, regions, deadline), distance)
 
         return self._with_layout(work, timeout)
 
@@ -171,8 +366,8 @@ class SeveralNodes:
 
         def work(layout: Layout, deadline: float) -> list[Hit]:
             reach = _float32(request.tolerance) or math.inf
-            met = layout.coverage.owners(_box(place, place, reach))[0]
-            hits = _merged(self._replies('nearest', request, met, deadline), distance)
+            regions = layout.coverage.owners(_box(place, place, reach))[0]
+            hits = _merged(self._replies('nearest', request, regions, deadline), distance)
             if len(hits) >= layout.nearest_limit:
                 hits = hits[: layout.nearest_limit]
                 reach = distance(hits[-1])
@@ -195,8 +390,8 @@ class SeveralNodes:
     ) -> Any:
         """Return the answers to a batch: the nearest obstacle of each row.
 
-        Each row is asked of the region where it begins, then of all regions that may know
-        something nearer. A row that leaves the regions, or whose node does not answer, is
+        Each row goes to the region where it begins, then to all regions that may know something
+        nearer. A row that leaves the regions, or whose node does not answer, is
         UNANSWERED.
         """
         _refuse_frame(frame_id)
@@ -268,7 +463,7 @@ class SeveralNodes:
             answer = self._waiting.result(part.question, 0.0)
         except BvhTimeoutError:
             self._silent_until[part.region] = time.monotonic() + SILENT
-            raise BvhTimeoutError(f'no answer from {part.question.asked}') from None
+            raise BvhTimeoutError(f'no answer from {part.question.name}') from None
         self._silent_until.pop(part.region, None)
         return answer
 
@@ -351,30 +546,30 @@ class Rows(NamedTuple):
 
 
 def _rows(batch: Batch, layout: Layout) -> Rows:
-    asked, count = batch.asked, len(batch)
-    if isinstance(asked, Rays):  # a distance is a t
-        rays, radii = asked, np.zeros(1) if asked.radii is None else asked.radii
+    questions, count = batch.questions, len(batch)
+    if isinstance(questions, Rays):  # a distance is a t
+        rays, radii = questions, np.zeros(1) if questions.radii is None else questions.radii
 
         def around_rays(t: Floats) -> Box:
             return swept(rays.origins, rays.directions, t, radii)
 
         return Rows(query_clouds.fault(rays)[0], rays.t_max, around_rays)
-    places = (asked.places, asked.places)
-    if isinstance(asked, Points):
-        bad = query_clouds.fault(asked)[0]
-        return Rows(bad, asked.reaches, lambda distances: grown(places, distances))
-    if isinstance(asked, Boxes):  # whatever touches a box lies around all of it
-        half = asked.sizes * 0.5
+    places = (questions.places, questions.places)
+    if isinstance(questions, Points):
+        bad = query_clouds.fault(questions)[0]
+        return Rows(bad, questions.reaches, lambda distances: grown(places, distances))
+    if isinstance(questions, Boxes):  # whatever touches a box lies around all of it
+        half = questions.sizes * 0.5
         with np.errstate(over='ignore', invalid='ignore'):
             ball = np.nextafter(np.linalg.norm(half, axis=1), np.inf)[:, None]
-            half = np.where((asked.turns[:, :3] != 0.0).any(axis=1)[:, None], ball, half)
-            box = grown(grown(places, half), asked.tolerances)
-        bad = query_clouds.fault(asked)[0]
+            half = np.where((questions.turns[:, :3] != 0.0).any(axis=1)[:, None], ball, half)
+            box = grown(grown(places, half), questions.tolerances)
+        bad = query_clouds.fault(questions)[0]
         return Rows(bad, np.zeros(count), lambda _: box)
     footprint = layout.footprint()  # edge lengths of a box, or the radius of a ball
     radius = footprint[0] if len(footprint) == 1 else float(np.linalg.norm(footprint)) * 0.5
     reach = np.nextafter(radius, np.inf)
-    bad = np.logical_not(np.isfinite(np.hstack(asked)).all(axis=1))
+    bad = np.logical_not(np.isfinite(np.hstack(questions)).all(axis=1))
 
     def around_poses(distances: Floats) -> Box:
         return grown(grown(places, reach), np.maximum(distances, 0.0))
@@ -384,7 +579,7 @@ def _rows(batch: Batch, layout: Layout) -> Rows:
 
 def _refuse_frame(frame_id: str) -> None:
     if frame_id:
-        raise ValueError('several nodes are asked in their own frame, without frame_id')
+        raise ValueError('several nodes answer in their own frame, without frame_id')
 
 
 def _place(stamped: Any) -> NDArray[np.float64]:

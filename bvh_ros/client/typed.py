@@ -1,6 +1,6 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Questions that only the typed services answer: how far shapes are, and what is on their ways."""
+"""Questions that only the typed services answer: clearances and sweeps of shapes."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class Clearances(NamedTuple):
 
 
 class Sweeps(NamedTuple):
-    """The first obstacles on the ways of n shapes."""
+    """The first obstacles that n moving shapes touch."""
 
     obstacles: NDArray[np.uint32]
     """(n,) node handles; FREE where the way is free, UNANSWERED where the row has no answer."""
@@ -93,7 +93,7 @@ def sweeps(
     until: ArrayLike | None,
     frame_id: str,
 ) -> Typed:
-    """Return a question about n ways; ValueError where an argument does not fit."""
+    """Return a question about n sweeps; ValueError where an argument does not fit."""
     kind, given = _service('Sweep'), as_shapes(shapes)
     request, count = _about(kind, given, mask, frame_id), len(given.kind)
     request.goal_positions = _doubles(messages.places_of('goal_positions', goal_positions, count))

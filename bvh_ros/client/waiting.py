@@ -30,15 +30,15 @@ LEAST = 0.02  # seconds between the first request and the second one, ...
 MOST = 0.5  # ... at least and at most
 GROWTH = 1.5  # of this time, from one request to the next, ...
 GROWN = 0.2  # ... up to so many seconds, where it is not longer anyway
-POLL = 0.02  # seconds between two looks at what wakes nobody
+POLL = 0.02  # seconds between two looks at what wakes no thread
 LOOK = 0.1  # seconds between two looks whether the context lives
 
 
 class Patience:
     """Seconds after which an answer counts as lost: the retransmission timer of RFC 6298.
 
-    It follows the times in which answers have come, so that a busy node is not asked again and
-    again while its answers are only late.
+    It follows the times in which answers have come, so that a busy node does not get the same
+    question again and again while its answers are only late.
     """
 
     def __init__(self, least: float = LEAST) -> None:
@@ -69,11 +69,11 @@ class Patience:
 
 
 class Question:
-    """A question that is asked until its first answer comes.
+    """A question that is sent again until its first answer comes.
 
     Parameters
     ----------
-    asked : str
+    name : str
         The service or topic, for people.
     patience : Patience
         Of the questions of this kind.
@@ -81,8 +81,8 @@ class Question:
         Runs the callbacks of the answer; without one, the thread that brings the answer does.
     """
 
-    def __init__(self, asked: str, patience: Patience, executor: Executor | None = None) -> None:
-        self.asked = asked
+    def __init__(self, name: str, patience: Patience, executor: Executor | None = None) -> None:
+        self.name = name
         self.answer = Future(executor=executor)
         self._patience = patience
         self._count, self._wait_for, self._asked_at = 0, 0.0, -math.inf
@@ -123,7 +123,7 @@ class Question:
         Parameters
         ----------
         request, work : float
-            When it was asked, on the monotonic clock, and the seconds that the answer may take
+            When it was sent, on the monotonic clock, and the seconds that the answer may take
             besides.
         """
         if not self._first.acquire(blocking=False):
@@ -140,15 +140,15 @@ class Question:
         """Wait for the answer no longer."""
         if not self.answer.done():
             self.forget()
-        # Else rclpy complains about an error that nobody has looked at.
+        # Else rclpy complains about an error that was never read.
         self.answer.add_done_callback(Future.exception)
 
 
 class Waiting:
     """Waits for answers by taking them from the middleware, as an executor would.
 
-    Whether somebody spins the node cannot be known: `rclpy.spin_once` leaves the node with an
-    executor that nobody spins, and the thread that waits may be the one that should spin. So the
+    Whether a thread spins the node cannot be known: `rclpy.spin_once` leaves the node with an
+    executor that no thread spins, and the waiting thread may be the one that should spin. So the
     node's executor is left alone. If it runs, either of the two takes an answer, and gives it to
     the same future.
     """
@@ -212,7 +212,7 @@ class Waiting:
             results = []
             for question in questions:
                 if not question.answer.done():
-                    raise BvhTimeoutError(f'{question.asked} did not answer within {timeout:g} s')
+                    raise BvhTimeoutError(f'{question.name} did not answer within {timeout:g} s')
                 results.append(question.answer.result())
             return results
         finally:
@@ -242,7 +242,7 @@ class Waiting:
             question.ask_if_due()
         if self._timer is not None and not self._watched:
             self._timer.cancel()
-            if self._watched:  # another thread has asked meanwhile
+            if self._watched:  # another thread has added a question meanwhile
                 self._timer.reset()
 
     def _check(self) -> None:
@@ -294,7 +294,7 @@ def _take_reply(client: Client) -> None:
     try:
         future = client.get_pending_request(header.request_id.sequence_number)
     except KeyError:
-        return  # nobody waits for it any more
+        return  # no call waits for it any more
     future.set_result(reply)
 
 

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from ..tree import RayHits
+from ..tree.access import checks
 
 VALUES = 't_max', 'max_distance', 'mask'  # one for all rows, or one a row
 Query = Callable[..., Any]  # a method of `Forest`
@@ -32,15 +32,21 @@ def is_dask(array: Any) -> bool:
     return type(array).__module__.partition('.')[0] == 'dask'
 
 
-def raycast(query: Query, ndim: int, *rest: Any, **columns: Any) -> RayHits:
-    """`Forest.raycast_many`; ids, t and normals are dask arrays."""
-    outputs = ((), np.int64), ((), np.float64), ((ndim,), np.float64)
-    return RayHits(*_map(query, (*_same_blocks(ndim, **columns), *rest), outputs))
-
-
-def occluded(query: Query, ndim: int, *rest: Any, **columns: Any) -> Any:
-    """`Forest.occluded_many` as a dask array."""
-    return _map(query, (*_same_blocks(ndim, **columns), *rest), (((), np.bool_),))[0]
+def rays(
+    query: Query,
+    outputs: Any,
+    ndim: int,
+    origins: Any,
+    directions: Any,
+    t_max: Any,
+    mask: Any,
+    skip_inside: bool,
+    threads: int,
+) -> list[Any]:
+    """`Forest.raycast_many` or `occluded_many`; the outputs are dask arrays."""
+    rest = checks.flag('skip_inside', skip_inside), checks.whole('threads', threads, 1)
+    columns = {'origins': origins, 'directions': directions, 't_max': t_max, 'mask': mask}
+    return _map(query, (*_same_blocks(ndim, **columns), *rest), outputs)
 
 
 def nearest(query: Query, ndim: int, k: int, points: Any, max_distance: Any, mask: Any) -> Any:

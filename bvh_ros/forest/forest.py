@@ -29,7 +29,7 @@ class Forest:
 
     Each query takes an `executor`: anything with the ``submit`` of `concurrent.futures.Executor`,
     such as a process pool, ``dask.distributed.Client.get_executor()`` or
-    ``mpi4py.futures.MPIPoolExecutor``. Its workers open the parts that they are asked for, so they
+    ``mpi4py.futures.MPIPoolExecutor``. Its workers open the parts that they query, so they
     must see the folder under the same path. None asks all parts in this process. An error of a
     worker is raised; no part is left out.
 
@@ -158,7 +158,7 @@ class Forest:
         """The box around all boxes; None if there are none."""
         return self._top.bounds
 
-    def _asked_by(self, executor: Executor | None) -> queries.Parts:
+    def _parts_for(self, executor: Executor | None) -> queries.Parts:
         if executor is not None and not callable(getattr(executor, 'submit', None)):
             raise ValueError('executor must have the submit of concurrent.futures.Executor')
         return queries.Parts(self._top, str(self._folder), self._checksums, executor)
@@ -174,21 +174,11 @@ class Forest:
         executor: Executor | None = None,
     ) -> RayHits:
         """First hits of n rays, see `DynamicBVH.raycast_many`. `threads`: of each worker."""
+        given = self._ndim, origins, directions, t_max, mask, skip_inside, threads
         if dask_rows.are_given(executor, origins, directions, t_max, mask):
-            return dask_rows.raycast(
-                self.raycast_many,
-                self._ndim,
-                checks.flag('skip_inside', skip_inside),
-                checks.whole('threads', threads, 1),
-                origins=origins,
-                directions=directions,
-                t_max=t_max,
-                mask=mask,
-            )
-        rays = queries.check_rays(
-            self._ndim, origins, directions, t_max, mask, skip_inside, threads
-        )
-        return queries.first_hits(self._asked_by(executor), rays)
+            kinds = ((), np.int64), ((), np.float64), ((self._ndim,), np.float64)
+            return RayHits(*dask_rows.rays(self.raycast_many, kinds, *given))
+        return queries.first_hits(self._parts_for(executor), queries.check_rays(*given))
 
     def occluded_many(
         self,
@@ -201,22 +191,11 @@ class Forest:
         executor: Executor | None = None,
     ) -> NDArray[np.bool_]:
         """Whether n rays hit anything, see `DynamicBVH.occluded_many`."""
+        given = self._ndim, origins, directions, t_max, mask, skip_inside, threads
         if dask_rows.are_given(executor, origins, directions, t_max, mask):
-            blocked: NDArray[np.bool_] = dask_rows.occluded(
-                self.occluded_many,
-                self._ndim,
-                checks.flag('skip_inside', skip_inside),
-                checks.whole('threads', threads, 1),
-                origins=origins,
-                directions=directions,
-                t_max=t_max,
-                mask=mask,
-            )
+            (blocked,) = dask_rows.rays(self.occluded_many, (((), np.bool_),), *given)
             return blocked
-        rays = queries.check_rays(
-            self._ndim, origins, directions, t_max, mask, skip_inside, threads
-        )
-        return queries.any_hits(self._asked_by(executor), rays)
+        return queries.any_hits(self._parts_for(executor), queries.check_rays(*given))
 
     def overlap_many(
         self,
@@ -236,7 +215,7 @@ class Forest:
             return both
         low, high = checks.boxes(lo, hi, self._ndim)
         masks = checks.masks(mask, len(low))
-        return queries.overlaps(self._asked_by(executor), low, high, masks, threads)
+        return queries.overlaps(self._parts_for(executor), low, high, masks, threads)
 
     def nearest_many(
         self,
@@ -256,7 +235,7 @@ class Forest:
         where = checks.points('points', points, self._ndim)
         reach = checks.limits('max_distance', max_distance, len(where))
         points = queries.Points(where, reach, checks.masks(mask, len(where)))
-        return queries.nearest(self._asked_by(executor), points, k)
+        return queries.nearest(self._parts_for(executor), points, k)
 
 
 def _open_again(folder: Path, mark: int) -> Forest:

@@ -114,7 +114,7 @@ def ask_part(folder: str, checksum: int, number: int, query: str, *arguments: An
 
 
 class Parts(NamedTuple):
-    """The parts of a forest, and where they are asked."""
+    """The parts of a forest, and the executor that queries them."""
 
     top: OpenTree
     """The tree over the bounds of the parts, in their order."""

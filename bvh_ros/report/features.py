@@ -20,8 +20,19 @@ from bvh_ros.scene.shapes.shape import unit_quaternions
 from .. import DynamicBVH
 from ..scene import Scene, Shapes
 from .page import Cell, Page
-from .questions import Queries, Question, Questions, of_scene, of_tree
-from .scenes import Boxes, Floats, query_edge, spread, uniform_boxes, units
+from .scenes import (
+    Boxes,
+    Floats,
+    Queries,
+    Question,
+    Questions,
+    of_scene,
+    of_tree,
+    query_edge,
+    spread,
+    uniform_boxes,
+    units,
+)
 from .timing import Job, interleaved, memory, one_processor
 from .workload import Configuration
 

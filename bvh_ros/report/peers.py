@@ -12,8 +12,19 @@ from .. import DynamicBVH
 from ..scene import Scene, Shapes
 from .libraries import COAL, EMBREE, LIBRARIES, OURS, Library, Rows
 from .page import BLUE, ORANGE, RED, Cell, Page
-from .questions import Queries, of_scene, of_tree
-from .scenes import EDGE, Boxes, Floats, Rays, incoherent_rays, query_edge, spread, uniform_boxes
+from .scenes import (
+    EDGE,
+    Boxes,
+    Floats,
+    Queries,
+    Rays,
+    incoherent_rays,
+    of_scene,
+    of_tree,
+    query_edge,
+    spread,
+    uniform_boxes,
+)
 from .timing import Job, each, interleaved, one_processor, repeated
 
 # ---- All libraries on the same work

@@ -1,11 +1,18 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The random scenes of the report."""
+"""The random scenes of the report, and queries of them by name."""
 
-from typing import NamedTuple
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+
+from .. import DynamicBVH
+from ..scene import Scene, Shapes
+from ..scene.shapes.shape import unit_quaternions
+from .timing import Job, each
 
 Floats = NDArray[np.float64]
 
@@ -78,3 +85,116 @@ def query_edge(boxes: Boxes, hits: float) -> float:
         overlaps = float(np.prod(boxes.edges + edge, axis=1).sum()) / EDGE**3
         low, high = (edge, high) if overlaps < hits else (low, edge)
     return low
+
+
+# ---- Queries of a tree and of a scene by name: single calls, small and large batches
+
+
+SECOND = 10**9
+PACED, THEN = {'at': 0.0, 'pace': 1.0}, {'at': 1.0}  # a ray starts at 0 s; 1 s later
+TOGETHER, LATER = {'at': 0, 'until': SECOND}, {'at': SECOND}  # a segment takes a second
+
+
+class Question(NamedTuple):
+    """A query of a tree or scene."""
+
+    ask: Callable[..., object]
+    arguments: tuple[Any, ...]
+    units: int = 0  # rows of a batch; 0: it is called with each row of the arguments
+    times: dict[str, Any] | None = None  # the arguments that name another time
+
+    def job(self, timed: bool = False) -> Job:
+        """With or without another time."""
+        ask = partial(self.ask, **self.times) if timed and self.times else self.ask
+        if self.units:
+            return Job(partial(ask, *self.arguments), self.units)
+        return each(ask, *self.arguments)
+
+
+class Queries(NamedTuple):
+    """What is queried: n rows (n, 3) each."""
+
+    starts: Floats
+    directions: Floats
+    goals: Floats
+    t_max: float  # of rays along the directions
+    small: Boxes
+    sweeps: Floats  # of the small boxes
+    radius: float  # of batches of balls
+    calls: int  # most single calls
+    batches: Sequence[int]  # rows of a batch; 0: all
+
+
+Questions = dict[str, Question]
+
+
+def _batches(
+    queries: Queries, ask: Callable[..., object], *arguments: Any, times: Any = None
+) -> Questions:
+    """Batches of several sizes; arrays have a row a query, other arguments are for all."""
+    found, count = {}, len(arguments[0])
+    for rows in queries.batches:
+        if not rows:
+            found[ask.__name__] = Question(ask, arguments, count, times)
+            continue
+        calls = min(count // rows, queries.calls)
+        parts = [
+            part[: calls * rows].reshape(calls, rows, 3)
+            if isinstance(part, np.ndarray)
+            else [part] * calls
+            for part in arguments
+        ]
+        found[f'{ask.__name__}, {rows} a call'] = Question(ask, tuple(parts), 0, times)
+    return found
+
+
+def of_tree(tree: DynamicBVH, queries: Queries) -> Questions:
+    """Queries of a tree."""
+    few = slice(queries.calls)
+    starts, directions, small, batches = *queries[:2], queries.small, partial(_batches, queries)
+    rays = starts[few], directions[few], [queries.t_max] * len(starts[few])
+    boxes = small.lo[few], small.hi[few]
+    return {
+        'raycast': Question(tree.raycast, rays, 0, PACED),
+        'occluded': Question(tree.occluded, rays, 0, PACED),
+        'overlap': Question(tree.overlap, boxes, 0, THEN),
+        'nearest': Question(tree.nearest, rays[:1], 0, THEN),
+        'boxcast': Question(tree.boxcast, (*boxes, queries.sweeps[few]), 0, PACED),
+        **batches(tree.raycast_many, starts, directions, queries.t_max, times=PACED),
+        **batches(tree.occluded_many, starts, directions, queries.t_max, times=PACED),
+        **batches(tree.raycast_all_many, starts, directions, queries.t_max, times=PACED),
+        **batches(tree.overlap_many, *small, times=THEN),
+        **batches(tree.nearest_many, starts, times=THEN),
+    }
+
+
+def of_scene(scene: Scene, names: list[str], queries: Queries) -> Questions:
+    """Queries of a scene with obstacles of these names."""
+
+    def ball(start: Floats, goal: Floats, **times: Any) -> object:
+        return scene.raycast(start, goal, 0.2, **times)
+
+    few = slice(queries.calls)
+    starts, directions, goals, batches = *queries[:3], partial(_batches, queries)
+    ends, boxes = (starts[few], goals[few]), (queries.small.lo[few], queries.small.hi[few])
+    turns = unit_quaternions(np.random.default_rng(1).normal(size=(len(ends[0]), 4)))
+    size = tuple(queries.small.edges[0].tolist())
+    found = {
+        'raycast': Question(scene.raycast, ends, 0, TOGETHER),
+        'swept ball': Question(ball, ends, 0, TOGETHER),
+        'overlap': Question(scene.overlap, boxes, 0, LATER),
+        'turned overlap': Question(scene.overlap, (*boxes, turns), 0, LATER),
+        'nearest': Question(scene.nearest, ends[:1], 0, LATER),
+        'clearance': Question(scene.clearance, (names[few],), 0, LATER),
+        **batches(scene.raycast_many, starts, directions, queries.t_max, times=TOGETHER),
+        **batches(scene.sweep_many, starts, goals, queries.radius, times=TOGETHER),
+        **batches(scene.overlap_many, starts, size, times=LATER),
+        **batches(scene.nearest_many, starts, times=LATER),
+    }
+    shapes = Shapes.boxes(ends[0], size)
+    one_by_one = ([shapes.take([row]) for row in range(len(shapes.kind))],)
+    found['clearance_many, 1 a call'] = Question(scene.clearance_many, one_by_one, 0, LATER)
+    if 0 in queries.batches:
+        many = Question(scene.clearance_many, (shapes,), len(shapes.kind), LATER)
+        found['clearance_many'] = many
+    return found

@@ -128,8 +128,8 @@ def with_shapes(needs: Needs) -> NodeScene:
 
 
 def scenes(needs: Needs) -> Iterator[NodeScene]:
-    """The empty one first: while another process compiles how boxes get there, what is asked of it
-    can be compiled here.
+    """The empty one first: while another process compiles how boxes get there, its queries are
+    compiled here.
     """
     yield empty(needs)
     yield with_boxes(needs)
@@ -137,7 +137,7 @@ def scenes(needs: Needs) -> Iterator[NodeScene]:
 
 
 def use_tree(ndim: int) -> None:
-    """What a tree without a scene is asked."""
+    """Queries of a tree without a scene."""
     tree = DynamicBVH(ndim=ndim)
     low, high = np.zeros(ndim), np.ones(ndim)
     handle = tree.insert(low, high)
@@ -270,7 +270,7 @@ def paths_then(needs: Needs) -> None:
 
 FEW = 128  # rays that go through the snapshot one by one, where there is one
 
-# What is compiled only when somebody asks.
+# Queries that are compiled on first use.
 NEAREST, BALLS, POINTS = 'nearest', 'batches of balls', 'batches of points'
 BOXES_ASKED, CLEARANCES = 'batches of boxes', 'distances of shapes'
 NEAREST_THEN, PATHS_THEN = 'nearest at other times', 'paths at other times'
@@ -294,7 +294,7 @@ def jobs(needs: Needs) -> list[Job]:
 
 
 def later_jobs(needs: Needs) -> list[Job]:
-    """Return what is compiled only when somebody asks."""
+    """Return the jobs of queries that are compiled on first use."""
     calls: list[tuple[str, float, Callable[[Needs], None]]] = [
         (NEAREST, 8.0, _nearest),
         *([(BALLS, 12.0, _many_balls), (BOXES_ASKED, 20.0, _boxes_asked)] if needs.batch else []),
@@ -325,7 +325,7 @@ def _named(calls: Sequence[tuple[str, float, Callable[[Needs], None]]], needs: N
 
 
 def _moving(needs: Needs) -> list[tuple[str, float, Callable[[Needs], None]]]:
-    """What is called at the start, and once somebody asks, where obstacles have velocities."""
+    """What is called at the start, and on first use, where obstacles have velocities."""
     if not needs.moving:
         return []
     later = (NEAREST_THEN, 30.0, nearest_then), (PATHS_THEN, 30.0, paths_then)
@@ -358,7 +358,7 @@ def _boxes_asked(needs: Needs) -> None:
 def _points(needs: Needs) -> None:
     for scene in scenes(needs):
         scene.nearest_many([START])
-        scene.nearest_many([START] * 1000)  # are asked in the order of neighbours
+        scene.nearest_many([START] * 1000)  # answered in the order of neighbours
 
 
 def _paths(needs: Needs) -> None:
@@ -394,7 +394,7 @@ def _sweep(needs: Needs, shape: Shapes) -> None:
 
 
 def _obstacles(needs: Needs) -> None:
-    """Every way in which obstacles come, move and go, and what is told of them all the time. The
+    """All that adds, moves and removes obstacles, and the figures that diagnostics read. The
     tree first: it takes longest, and `_thin_rays` and `_names` compile meanwhile what else a new
     box takes.
     """
@@ -422,7 +422,7 @@ def _thin_rays(needs: Needs) -> None:
 
 
 def _names(needs: Needs) -> None:
-    """What is told of a tree, and of names, without a box in it."""
+    """Names, and figures of a tree, without a box in it."""
     inherit_entry(2 if needs.planar else 3)
     registry, names = Registry(), as_families(Numbered('box#', NUMBERS))
     registry.add(names, NUMBERS)
@@ -457,7 +457,7 @@ def _batches(needs: Needs) -> None:
     scene.replace(
         'cloud', '', Numbered('box#', np.arange(MANY)), Shapes.boxes(line, EDGE), stamp=1
     )
-    for count in (1, MANY, FEW):  # the snapshot is there once many were asked
+    for count in (1, MANY, FEW):  # the snapshot is there after many rays
         scene.raycast_many(line[:count], line[:count])
 
 

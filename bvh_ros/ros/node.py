@@ -78,7 +78,7 @@ def keep_memory() -> None:
 
 
 def _start(executable: str, create: Callable[[], Node], args: list[str] | None) -> Node:
-    """Create the node; whatever it is told wrongly is a ConfigurationError or an RCLError."""
+    """Create the node; wrong parameters or arguments are a ConfigurationError or an RCLError."""
     try:
         rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
         if args is None:

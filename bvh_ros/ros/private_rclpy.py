@@ -27,7 +27,7 @@ RCLError: type[Exception] = _private(_compiled, 'RCLError')
 """What rcl says about arguments, and transitions, that cannot be."""
 UnknownROSArgsError: type[Exception] = _private(_compiled, 'UnknownROSArgsError')
 WaitSet = _private(_compiled, 'WaitSet')
-"""Waits for some entities of a node, whoever spins the rest."""
+"""Waits for some entities of a node, whatever spins the rest."""
 spin_once = _private(SingleThreadedExecutor, '_spin_once_impl')
 """Takes an executor, a timeout and a condition that ends the wait whenever it is woken."""
 _TAKING = '_take_subscription', '_take_service', '_take_waitable'

@@ -161,7 +161,7 @@ class BvhServer:
 
     def jobs(self, *, wholly: bool = False) -> list[Job]:
         """Return what compiles the kernels that this configuration needs; `wholly` with those
-        that wait until somebody asks.
+        of first use.
         """
         of_sources = [job for source in self.world.sources for job in source.to_compile()]
         needs, footprint = self.needs(), self.settings.footprint

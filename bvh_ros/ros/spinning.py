@@ -61,7 +61,7 @@ class Interrupts:
     def while_starting(self) -> Iterator[None]:
         """End the process at once: kernels take seconds, and the compiler swallows exceptions.
 
-        Nobody has been promised anything yet, and nothing is left half done, because kernels
+        No client waits yet, and nothing is left half done, because kernels
         reach their cache by renaming whole files.
         """
         self._starting = True
@@ -100,13 +100,13 @@ ALL_EVENTS = 0.001  # seconds
 class SturdyExecutor(SingleThreadedExecutor):
     """Serves on where a message or request cannot even be taken, say for want of memory.
 
-    rclpy marks whoever is being served, and where taking fails leaves the mark for ever: no part
-    of the node would be called again.
+    rclpy marks a callback group while it is served, and where taking fails leaves the mark for
+    ever: no part of the node would be called again.
     """
 
     def __init__(self) -> None:
         super().__init__()
-        self.resting: set[object] = set()  # entities that wake nobody for a while
+        self.resting: set[object] = set()  # entities that wake no executor for a while
         self._events_seen = 0.0  # s
         self._logger = rclpy.logging.get_logger('bvh')
         self._errors = Seldom(lambda text: self._logger.error(text))

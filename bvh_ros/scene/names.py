@@ -246,7 +246,7 @@ def discard_slots(table, prefix_of, number_of, seed, slots):
 
 # ---- Sources, which own obstacles, and groups of obstacles that are replaced together.
 
-NOBODY = 0  # number of the source and group of a free slot, and of what was never heard of
+NO_OWNER = 0  # the source and group of a free slot, and the number of unknown ones
 
 
 def tally(numbers: NDArray[np.int64]) -> dict[int, int]:
@@ -274,11 +274,11 @@ class Groups:
         self._sources: dict[str, int] = {}
         self._groups: dict[tuple[str, str], Group] = {}
         self._by_number: dict[int, Group] = {}
-        self._last = NOBODY
+        self._last = NO_OWNER
 
     def source(self, name: str) -> int:
         """Number of a source."""
-        return self._sources.get(name, NOBODY)
+        return self._sources.get(name, NO_OWNER)
 
     def source_name(self, number: int) -> str:
         """The source with this number."""
@@ -287,7 +287,7 @@ class Groups:
     def number(self, source: str, name: str) -> int:
         """Number of a group."""
         group = self._groups.get((source, name))
-        return group.number if group else NOBODY
+        return group.number if group else NO_OWNER
 
     def members(self, source: str, name: str) -> int:
         """How many obstacles a group has ('': all that the source owns)."""
@@ -302,7 +302,7 @@ class Groups:
 
     def open(self, source: str, name: str) -> tuple[int, int]:
         """The numbers of a source and its group, made if need be."""
-        number = self._sources.setdefault(source, len(self._sources) + NOBODY + 1)
+        number = self._sources.setdefault(source, len(self._sources) + NO_OWNER + 1)
         group = self._groups.get((source, name))
         if group is None:
             self._last += 1
@@ -323,7 +323,7 @@ class Groups:
                 del self._by_number[number], self._groups[group.source, group.name]
 
     def clear(self) -> None:
-        """Everybody left."""
+        """Forget all groups."""
         self._groups.clear()
         self._by_number.clear()
 
@@ -340,7 +340,7 @@ class Groups:
 Slots: TypeAlias = NDArray[np.int64]
 
 UNKNOWN = EMPTY  # instead of a slot
-_NOBODY = 0  # number of the prefix of a free slot, and of what was never heard of
+_NO_OWNER = 0  # number of the prefix of a free slot, and of what was never heard of
 _LOAD = 2  # places in the table for each slot
 
 
@@ -364,14 +364,14 @@ class Registry:
         self._prefix_of = np.empty(0, np.int64)
         self._number_of = np.empty(0, np.int64)
         self._table = np.full(1, EMPTY, np.int64)
-        self._seed = random.getrandbits(62)  # nobody outside can choose names that collide
+        self._seed = random.getrandbits(62)  # so names that collide cannot be chosen from outside
 
     def __len__(self) -> int:
         return self._count
 
     def find(self, names: Families) -> Slots:
         """Slots of names, UNKNOWN where there is none."""
-        known = [self._number_of_prefix.get(prefix, _NOBODY) for prefix in names.prefixes]
+        known = [self._number_of_prefix.get(prefix, _NO_OWNER) for prefix in names.prefixes]
         found = np.empty(len(names.numbers), INT64)
         if any(known):
             prefixes = np.array(known, INT64)
@@ -388,8 +388,8 @@ class Registry:
 
     def name(self, slot: int) -> str:
         """Name that owns a slot; KeyError if none does."""
-        prefix = self._prefix_of.item(slot) if slot < len(self._prefix_of) else _NOBODY
-        if prefix == _NOBODY:
+        prefix = self._prefix_of.item(slot) if slot < len(self._prefix_of) else _NO_OWNER
+        if prefix == _NO_OWNER:
             raise KeyError(slot)
         number = self._number_of.item(slot)
         return self._prefixes[prefix] if number == BARE else f'{self._prefixes[prefix]}{number}'
@@ -423,7 +423,7 @@ class Registry:
         self._count -= discard_slots(*self._hashed(), slots)
         for prefix, count in tally(self._prefix_of[slots]).items():
             self._leave(prefix, count)
-        self._prefix_of[slots] = _NOBODY
+        self._prefix_of[slots] = _NO_OWNER
 
     def clear(self) -> None:
         """Forget all names."""

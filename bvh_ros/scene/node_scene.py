@@ -58,5 +58,5 @@ class NodeScene(Scene):
     @property
     def population(self) -> tuple[int, int]:
         """Another one after each time that obstacles came or went."""
-        # Whoever comes gets a new node handle; while nobody comes, the number can only fall.
+        # A new obstacle gets a new node handle; while none comes, the number can only fall.
         return self._store.next_node_handle, len(self)

@@ -66,8 +66,8 @@ class OverlapQueries:
         most : int, optional
             More than so many are refused: an answer is never cut short.
         at : time, optional
-            An int in ns, or a float in s: the world is asked for as it is then, with obstacles
-            that have velocities where they are at that time. None: it is as last told.
+            An int in ns, or a float in s: the world as it is then: obstacles with
+            velocities are where they are at that time. None: as last reported.
 
         Returns
         -------
@@ -161,7 +161,7 @@ class OverlapQueries:
         tolerance, mask, at : one for all boxes, or array_like of shape (n,)
             As in `overlap`.
         want : {'any', 'count', 'first', 'all', 'hits'}
-            What is asked of each box.
+            What is returned of each box.
         threads : int
             The boxes are shared among so many threads; the answer does not depend on it.
 

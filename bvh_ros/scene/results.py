@@ -20,7 +20,7 @@ LAST_NODE_HANDLE = 2**31 - 1
 
 
 class TooManyHitsError(ValueError):
-    """More obstacles are met than whoever asks wants to be told of."""
+    """More obstacles are hit than the caller allows."""
 
 
 def require_few(count: int, most: int | None) -> None:
@@ -167,7 +167,7 @@ class Obstacle(NamedTuple):
 # ---- Which rows of an update are refused, and why.
 #
 # A message may have millions of rows, all of them bad. So a refused row is a number in an array,
-# and becomes a Python object only when somebody looks at it.
+# and becomes a Python object only when it is read.
 
 
 FINE = 0  # instead of the number of a reason
@@ -196,7 +196,7 @@ class Block(NamedTuple):
 
 
 class Refusals(Sequence[Refusal]):
-    """Refused rows in order; each is made when it is asked for. Equal to a list of the same."""
+    """Refused rows in order; each is made when it is read. Equal to a list of the same."""
 
     def __init__(self, *blocks: Block) -> None:
         self._blocks = [block for block in blocks if len(block.rows)] if blocks else []

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from ..tree.access import LARGEST, SLOT_MASK, OpenTree, checks, copy_bytes, touch
 from ..tree.compiler import entry_point, lean_kernel
-from .names import NOBODY, UNKNOWN, Families, Groups, Registry, Slots
+from .names import NO_OWNER, UNKNOWN, Families, Groups, Registry, Slots
 from .results import LAST_NODE_HANDLE, SceneHit
 from .rows import Rows
 from .shapes.footprint import FOOTPRINT, footprints
@@ -209,7 +209,7 @@ class Columns:
         self.bodies = Bodies(solid, flat, hulls, hulls and of_one_type(hulls, NO_HULLS)[1])
 
     def clear(self) -> None:
-        """Forget everybody."""
+        """Forget all obstacles."""
         counts = self.pairs_compared, self.pairs_in_more_digits
         expected = self._expects_meshes, self._expects_any
         self.__init__(self.footprint is not None, *expected)  # type: ignore[misc]
@@ -375,15 +375,15 @@ class Obstacles:
         self.newest = 0
         """Stamp of the newest update included, ns; 0 if there is none."""
         self.moves = False
-        """Whether any obstacle was told a velocity since nobody had one."""
+        """Whether any obstacle has got a velocity since none had one."""
         self.epoch = 0
         """Time 0 of the tree, ns."""
         self.max_prediction = np.inf
-        """Nobody moves on for longer than so many seconds after the last update, see places."""
+        """s: an obstacle moves on for no longer than that after its last update."""
         self.uncertainty = 0.0
-        """Those that move grow by so much all round, m/s, since their last update."""
+        """m/s by which moving obstacles grow all round, since their last update."""
         self.movers: Any = None
-        """`places.Movers`, once somebody asks."""
+        """`Movers`, once a query needs them."""
         self.next_node_handle = 1
         self.next_expiry = NEVER
         """Nothing expires earlier, ns."""
@@ -430,7 +430,7 @@ class Obstacles:
         """Members of a group ('': all of the source), besides some."""
         columns = self.columns
         number = self.groups.number(source, group) if group else self.groups.source(source)
-        if number == NOBODY:
+        if number == NO_OWNER:
             return np.empty(0, np.int64)
         member = (columns.group if group else columns.source) == number
         if besides is not None:
@@ -478,7 +478,7 @@ class Obstacles:
 
     def set_velocities(self, slots: Slots, rows: Rows, speeds: Floats | None) -> None:
         """Velocities of rows of an update that stand at these slots now, from their stamps on;
-        where none are told, all of them are at rest.
+        where there are none, all of them are at rest.
         """
         if not len(slots) or (speeds is None and not self.moves):
             return
@@ -512,7 +512,7 @@ class Obstacles:
         return in_seconds(stamp - self.epoch)
 
     def seconds(self, stamps: NDArray[np.int64]) -> Floats:
-        """Times in ns as the tree has them: seconds since the first velocity was told, or 26 days
+        """Times in ns as the tree has them: seconds since the first velocity came, or 26 days
         ago at most, so that it knows which whole nanosecond is meant.
         """
         if len(stamps) <= FEW:
@@ -596,7 +596,7 @@ class Obstacles:
         return len(removed)
 
     def clear(self) -> int:
-        """Forget everybody, whatever became of a change before; return how many there were."""
+        """Forget all obstacles, whatever became of a change before; return how many there were."""
         count = len(self)
         self.change.unfinished = True
         self._forget_all()
@@ -619,15 +619,15 @@ class Obstacles:
 
 # ---- Where obstacles are at other times than that of their last update.
 #
-# They go on as they were told, for `max_prediction` seconds, and then stay where they are, as
-# the tree knows. Nobody knows it for sure: by `uncertainty`, m/s, those that move grow all round
-# while time goes by.
+# They go on at their velocities for `max_prediction` seconds, and then stay where they are. This
+# the tree computes. Predictions are uncertain: moving obstacles grow all round by `uncertainty`,
+# m/s, while time goes by.
 
 WIDER = 1.0 + 2.0**-40  # no computed distance is off by as much
 
 
 class Movers(NamedTuple):
-    """When the first and the last of those that move were told, s, in one version of the tree."""
+    """The first and the last update of moving obstacles, s, in one version of the tree."""
 
     version: int
     earliest: float

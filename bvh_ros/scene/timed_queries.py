@@ -56,7 +56,7 @@ class TimedQueries:
     # ---- times
 
     def time_matters(self, at: Any, until: Any, count: int) -> bool:
-        """Whether time can change the answer: a time is asked for, and something moves. ValueError
+        """Whether time can change the answer: a time is given, and something moves. ValueError
         if these are no times in ns, `until` not before `at`.
         """
         if at is None:

@@ -1,6 +1,6 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Velocities of obstacles from where they were told to be, one update after the other.
+"""Velocities of obstacles, estimated from successive reports of their positions.
 
 Of each obstacle two sums are kept, the way and the time between its updates, in which older ones
 count ever less; one divided by the other is its velocity (a ratio of exponentially weighted means,
@@ -37,11 +37,11 @@ class State(NamedTuple):
 class Tracks:
     """Velocities from successive updates, for `Scene.update` and `replace` as `velocities`.
 
-    An obstacle that is told for the first time, or after a jump, is at rest until its next update.
+    An obstacle that is new, or has jumped, is at rest until its next update.
     An update with the stamp of the one before changes no velocity, unless it is a jump, nor does
     one that comes up to 1 s too late; one that is older begins anew, as after a clock that was set
     back. A jump is farther than `max_speed` allows in the time between, and 0.02 s more, as stamps
-    jitter, or makes the velocity that would be told larger than that.
+    jitter, or makes the estimated velocity larger than that.
 
     Parameters
     ----------
@@ -61,8 +61,8 @@ class Tracks:
         """
 
     def __call__(self, slots: Ids, handles: Ids, before: Sighting, now: Sighting) -> Floats:
-        """Return velocities, (n, 3) m/s, of n obstacles that are told again, each once: their
-        slots, node handles, where they were told to be before, and where they are.
+        """Return velocities, (n, 3) m/s, of n known obstacles, each once: their
+        slots, node handles, reported positions before and now.
         """
         rows = self._rows_of(slots)
         columns: Any = (column[rows] for column in self._state)

@@ -19,7 +19,6 @@ from .store import NEVER, Obstacles
 
 # ---- The part of the world whose obstacles a scene keeps.
 
-NOBODY = np.empty(0, np.int64)
 Region = tuple[NDArray[np.float64], NDArray[np.float64]]  # lo, hi
 
 
@@ -47,7 +46,7 @@ def within(
     """
     added, known = valid[:2]
     if region is None:
-        return added, known, NOBODY
+        return added, known, NONE
     new, old = _near(region, added, reach), _near(region, known, reach)
     return added.take(new), known.take(old), known.slot[~old]
 
@@ -57,11 +56,11 @@ def _near(region: Region, rows: Rows, reach: Floats | None) -> NDArray[np.bool_]
     return np.asarray(((rows.lo - more <= hi) & (rows.hi + more >= lo)).all(axis=1))
 
 
-# ---- Velocities of the rows of an update: as they are told, or as somebody follows obstacles.
+# ---- Velocities of the rows of an update: given, or estimated by following the obstacles.
 
 
 class Sighting(NamedTuple):
-    """Where n obstacles were told to be."""
+    """Reported positions of n obstacles."""
 
     places: Floats
     """Shape (n, 3), m."""
@@ -70,7 +69,7 @@ class Sighting(NamedTuple):
 
 
 class Follow(Protocol):
-    """Tells velocities from successive updates, see `tracking`."""
+    """Estimates velocities from successive updates, see `tracking`."""
 
     @property
     def max_speed(self) -> float:
@@ -79,7 +78,7 @@ class Follow(Protocol):
     def __call__(
         self, slots: Slots, handles: NDArray[np.int64], before: Sighting, now: Sighting, /
     ) -> Floats:
-        """Velocities, (n, 3) m/s, of obstacles from where they were told to be."""
+        """Velocities, (n, 3) m/s, of obstacles from two reports of their positions."""
 
 
 def speeds_of(
@@ -89,16 +88,16 @@ def speeds_of(
     count, ndim = len(valid.reasons.good), store.tree.ndim
     if callable(given) and hasattr(given, 'max_speed'):
         return _followed(store, given, valid.known, count), valid
-    told: Any = given
-    rows = checks.rows('velocities', told, 3, count, store.planar)
+    velocities: Any = given
+    rows = checks.rows('velocities', velocities, 3, count, store.planar)
     wrong = np.logical_not(np.isfinite(rows).all(axis=1))
     valid = _without(valid, wrong, 'its velocity is not finite')
     return np.ascontiguousarray(rows[:, :ndim]), valid
 
 
 def reach_of(store: Obstacles, given: ArrayLike | Follow, speeds: Floats) -> Floats:
-    """How far along each axis rows may be from where they are told to be, m, at times that may be
-    asked for. Whoever is followed is seen before its velocity is known.
+    """How far (m) along each axis rows may be from their reported positions, at any time that a
+    query may name. A followed obstacle is reported before its velocity is known.
     """
     fastest = np.full(speeds.shape, given.max_speed) if callable(given) else np.abs(speeds)
     reach = np.zeros(speeds.shape)
@@ -117,7 +116,7 @@ def _without(valid: Validated, wrong: NDArray[np.bool_], reason: str) -> Validat
 
 
 def _followed(store: Obstacles, follow: Follow, known: Rows, count: int) -> Floats:
-    """Velocities from where obstacles were told to be before."""
+    """Velocities of rows, from the positions that were reported before."""
     columns, rows = store.columns, np.zeros((count, store.tree.ndim))
     before = Sighting(columns.geometry['position'][known.slot], columns.stamp[known.slot])
     now = Sighting(known.records['position'], known.stamp)
@@ -155,10 +154,10 @@ class Part(NamedTuple):
         ]
         if self.categories is not None:
             columns[2] = column('categories', self.categories, total, ALL)
-        told: Any = self.velocities
-        follow = told if callable(told) else None
-        if told is not None and not follow:
-            columns[3] = checks.copied_rows('velocities', told, 3, total)
+        given_velocities: Any = self.velocities
+        follow = given_velocities if callable(given_velocities) else None
+        if given_velocities is not None and not follow:
+            columns[3] = checks.copied_rows('velocities', given_velocities, 3, total)
         for begin in range(0, max(total, 1), length):
             rows = slice(begin, begin + length)
             shapes = given.take(rows)
@@ -198,7 +197,7 @@ def require_a_name_each(names: Families, count: int) -> None:
 
 NONE = np.empty(0, np.int64)
 BYTES_A_ROW, BYTES_A_SLOT = 1000, 500  # more than it takes to apply a row, to keep an obstacle
-FEW_ROWS = 64  # of which it is only asked what new ones take
+FEW_ROWS = 64  # so few are only checked for the room of new ones
 # From n names to their masks, of shape (n,).
 Categorise = Callable[[Families], NDArray[np.uint32]]
 
@@ -261,7 +260,7 @@ class Updates:
         Parameters
         ----------
         source : str
-            The owner; nobody else can touch these obstacles.
+            The owner: no other source can change these obstacles.
         names : sequence of n str, Numbered or Families
             Of several good rows with one name the last holds.
         shapes : Shapes
@@ -389,7 +388,7 @@ class Updates:
         return added
 
     def rest(self) -> None:
-        """Let all obstacles stand where they were told to be: their stamps say nothing any more,
+        """Let all obstacles stand at their reported positions: their stamps say nothing any more,
         as the clock was set.
         """
         store = self._store
@@ -405,7 +404,7 @@ class Updates:
         columns = self._store.columns
         capacity, used = len(columns.tree_handle), len(self._store.registry) + columns.shadows
         grown = 2 * capacity if used + rows > capacity else 0
-        np.empty(rows * BYTES_A_ROW + grown * BYTES_A_SLOT, UINT8)  # asked for, not used
+        np.empty(rows * BYTES_A_ROW + grown * BYTES_A_SLOT, UINT8)  # reserved, not used
 
     def leaving(self, running: Sliced) -> Slots:
         """What goes when the update ends, as far as it is known."""
@@ -430,7 +429,7 @@ class Updates:
         return max(room + sum(len(self.leaving(one)) for one in replacing), 0)
 
     def room_beside(self, running: Sliced) -> int:
-        """How many obstacles may come besides what others bring, if nobody goes."""
+        """How many obstacles may come besides those of other updates, if none leave."""
         others = [one for one in self.under_way if one.replaced is not None and one is not running]
         room = self._store.most - len(self._store)
         return max(room + sum(len(self.leaving(one)) - max(one.left, 0) for one in others), 0)
@@ -565,7 +564,7 @@ class Removals:
         by = whole_time('by', by)
         expires = self._store.columns.expires
         mortal = expires > 0
-        # Never 0, which is for ever, nor later than can be told.
+        # Never 0, which is for ever, nor later than an int64 can say.
         times = np.minimum(expires[mortal], min(NEVER - by, NEVER)) + by
         with self._store.change:
             expires[mortal] = np.maximum(times, 1)

@@ -46,7 +46,7 @@ from .nodes import (
     node_dtype,
     slot_of,
 )
-from .plotting import BLOCKED_WAY, CORNERS, EDGES, FREE_WAY, PALETTE, SIDES
+from .plotting import BLOCKED_COLOUR, CORNERS, EDGES, FREE_COLOUR, PALETTE, SIDES
 from .query.box_queries import boxes_within
 from .query.exact import sign_of_four_products, two_product, two_sum
 from .query.nearest import (
@@ -105,5 +105,5 @@ from .store.turns import (
     begin_query,
     count_rays,
     end_query,
+    in_threads,
 )
-from .store.workers import in_threads

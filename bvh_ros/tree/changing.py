@@ -11,8 +11,15 @@ change of one box is refused until `change_many` has seen to it.
 import numpy as np
 
 from .area import tree_cost
-from .build.building import room_to_build
-from .build.rebuilding import build_anew, is_due, is_too_high, look_at_cost, optimize, rebalance
+from .build.building import (
+    build_anew,
+    is_due,
+    is_too_high,
+    look_at_cost,
+    optimize,
+    rebalance,
+    room_to_build,
+)
 from .compiler import inlined, lean_kernel, stack_array
 from .insertion import insert_leaf, remove_leaf
 from .moving import (

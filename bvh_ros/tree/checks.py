@@ -20,14 +20,14 @@ EVERY = np.uint32(ALL)
 NUMBER = int, float, np.number  # what is surely one for all rows
 FLOAT64, INT64, UINT32 = np.dtype(np.float64), np.dtype(np.int64), np.dtype(np.uint32)
 BOOL = np.dtype(np.bool_)
-# One for all rows, where nothing else is asked for.
+# Defaults: one value for all rows.
 FOREVER, NOTHING, EVERYTHING = np.array([np.inf]), np.zeros(1), np.array([EVERY])
 
 RAY_ARGUMENTS = 'origins', 'directions'
 SHORTEST, LONGEST = 0.99**2, 1.01**2  # squares of the lengths of quaternions of length 1
 
-# What others' objects raise when they are asked for numbers, warnings made errors among them. Not
-# every Exception: a signal handler's, say a TimeoutError, is not about the argument.
+# What others' objects raise when they are converted to numbers; warnings made errors, too. A
+# signal handler's exception, say a TimeoutError, is not about the argument.
 FOREIGN: tuple[type[Exception], ...] = (
     *(TypeError, ValueError, ArithmeticError, RuntimeError),
     *(LookupError, AttributeError, BufferError, Warning),
@@ -160,21 +160,17 @@ def point(name: str, value: ArrayLike, ndim: int, planar: bool = False) -> Float
     return array
 
 
-def points(
-    name: str, value: ArrayLike, ndim: int, count: int | None = None, planar: bool = False
-) -> Floats:
-    """Finite points or vectors of shape (n, ndim); n is `count` where given. `planar`: see
-    `with_z`.
-    """
-    array = copied_rows(name, value, ndim, count, planar)
+def points(name: str, value: ArrayLike, ndim: int, count: int | None = None) -> Floats:
+    """Finite points or vectors of shape (n, ndim); n is `count` where given."""
+    array = copied_rows(name, value, ndim, count)
     finite(name, array)
     return array
 
 
 def copied_rows(
-    name: str, value: ArrayLike, ndim: int, count: int | None = None, planar: bool = False
+    name: str, value: ArrayLike, ndim: int, count: int | None, planar: bool = False
 ) -> Floats:
-    """As `points`, not known to be finite."""
+    """As `points`, not known to be finite. `planar`: see `with_z`."""
     array = rows(name, value, ndim, count, planar)
     return array.copy() if array is value else array
 

@@ -399,5 +399,5 @@ class OpenTree(DynamicBVH):
 
     @property
     def motion(self) -> MotionQueries | None:
-        """What is asked of moving boxes; None where no box ever had a velocity."""
+        """Queries of moving boxes; None where no box ever had a velocity."""
         return self._motion

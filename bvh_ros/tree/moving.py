@@ -16,8 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from .build.building import refit_all
-from .build.rebuilding import build_anew, is_due, look_at_cost, rebalance
+from .build.building import build_anew, is_due, look_at_cost, rebalance, refit_all
 from .compiler import inlined, lean_kernel, prefetch, stack_array
 from .insertion import insert_leaf, remove_leaf
 from .nodes import (
@@ -40,7 +39,7 @@ from .nodes import (
 )
 
 LARGEST = 1.7976931348623157e308
-_AHEAD = 32  # how far ahead free leaves are asked for: often they lie side by side
+_AHEAD = 32  # how far ahead free leaves are prefetched: often they lie side by side
 LARGEST_FAT = 5.0  # margins and displacements by which a fat box may be larger than the exact one
 
 

@@ -4,7 +4,7 @@
 
 One record array holds the whole tree. Slot k owns two places in it: node 2k is the leaf of slot k,
 and node 2k + 1 is an inner node (any inner node: n leaves have n - 1 of them, wherever one was
-free). So whether a node is a leaf can be told from its number:
+free). So a node's number says whether it is a leaf:
 
     node      0      1      2      3      4      5   ...
             leaf   inner   leaf  inner   leaf  inner
@@ -54,7 +54,7 @@ STATE_PLACES = 6  # so far a file holds them
     REINSERTED,
     REFITTED,
     REBUILDS,
-    ASKS,  # until bounds of moving nodes are looked at again, see `motion.bounds`
+    QUERIES_LEFT,  # until bounds of moving nodes are looked at again, see `motion.bounds`
 ) = range(6, 21)
 RECENT = 21  # here begins a ring of the slots that were written last
 RECENT_PLACES = 128
@@ -228,7 +228,7 @@ def take_inner(nodes, state):
 
 @inlined
 def free_leaf(nodes, state, leaf):
-    nodes[leaf].mask = 0  # a snapshot that still knows it: nobody sees it
+    nodes[leaf].mask = 0  # hides it in a snapshot that still has it
     nodes[leaf].parent = state[FREE_LEAF]
     state[FREE_LEAF] = leaf
     state[COUNT] -= 1

@@ -25,7 +25,7 @@ PALETTE = np.array(
         (0.45, 0.33, 0.68),
     ]
 )
-FREE_WAY, BLOCKED_WAY = np.array((0.00, 0.62, 0.45)), np.array((0.84, 0.37, 0.00))
+FREE_COLOUR, BLOCKED_COLOUR = np.array((0.00, 0.62, 0.45)), np.array((0.84, 0.37, 0.00))
 MOST_BOXES = 10**9  # of the tree's levels: all
 MOST_IN_LEGEND = 12
 ROOM = 0.03  # around what is drawn, a share of its size
@@ -78,16 +78,16 @@ def picture(axes: Any, world: World, levels: Levels, rays: Any, hits: Any) -> An
         _add_lines(axes, sides, np.repeat(colours, len(sides) // max(1, len(lo)), axis=0), 0.9)
         lines = {f'depth {k}': PALETTE[-1 - k % len(PALETTE)] for k in np.unique(depth).tolist()}
     t = world.cast(segments[:, 0], segments[:, 1]) if len(segments) else np.empty(0)
-    blocked, ways = np.isfinite(t), segments[:, 1] - segments[:, 0]
-    ends = segments[:, 0] + np.where(blocked, t, 1.0)[:, None] * ways
+    blocked, steps = np.isfinite(t), segments[:, 1] - segments[:, 0]
+    ends = segments[:, 0] + np.where(blocked, t, 1.0)[:, None] * steps
     if len(segments):
         rays = np.stack((segments[:, 0], ends), axis=1)
-        _add_lines(axes, rays, np.where(blocked[:, None], BLOCKED_WAY, FREE_WAY), 1.8)
-        lines |= {'free ray': FREE_WAY} if not blocked.all() else {}
-        lines |= {'ray to its hit': BLOCKED_WAY} if blocked.any() else {}
+        _add_lines(axes, rays, np.where(blocked[:, None], BLOCKED_COLOUR, FREE_COLOUR), 1.8)
+        lines |= {'free ray': FREE_COLOUR} if not blocked.all() else {}
+        lines |= {'ray to its hit': BLOCKED_COLOUR} if blocked.any() else {}
     spots = np.concatenate((spots, ends[blocked]))
     if len(spots):
-        dots = {'marker': 'o', 'ls': '', 'color': BLOCKED_WAY, 'mec': 'white', 'zorder': 9}
+        dots = {'marker': 'o', 'ls': '', 'color': BLOCKED_COLOUR, 'mec': 'white', 'zorder': 9}
         axes.plot(*spots.T, label='hit', **dots, **_whole(ndim))
     _add_legend(axes, key, lines)
     return axes

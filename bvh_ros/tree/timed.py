@@ -15,7 +15,7 @@ from .store.arrays import Arrays, Floats, Ids
 if TYPE_CHECKING:
     from .motion.queries import MotionQueries
 
-NOW = 0.0  # the default of times: a query that leaves it is asked for nothing else
+NOW = 0.0  # the default of times
 
 
 class Timed(Arrays):
@@ -26,14 +26,14 @@ class Timed(Arrays):
     def set_velocities(
         self, handles: ArrayLike, velocities: ArrayLike, reference: ArrayLike = 0.0
     ) -> None:
-        """Let boxes move: at time s their place is what they were told, plus ``velocity * (s -
-        reference)``.
+        """Let boxes move: at time s each is displaced by ``velocity * (s - reference)`` from its
+        stored place.
 
         From then on `raycast`, `raycast_all`, `occluded`, `overlap`, `nearest`, their batches, and
-        `boxcast` see the world as it is `at` a time, 0 unless told, or None: as boxes were told;
-        rays and sweeps while time goes by, with `pace`. They decide exactly, as ever. All else
-        (`boxes`, `overlap_pairs`, ...) is about the places that boxes were told. A new box has no
-        velocity; one that is moved keeps its velocity and reference until told others.
+        `boxcast` see the world as it is `at` a time, 0 by default; None is the stored places.
+        With `pace`, time goes by along rays and sweeps. All of them decide exactly. All other
+        methods (`boxes`, `overlap_pairs`, ...) are about the stored places. A new box has no
+        velocity. A box that is moved keeps its velocity and reference until it gets others.
 
         Parameters
         ----------
@@ -41,7 +41,7 @@ class Timed(Arrays):
         velocities : array_like, shape (n, ndim)
             m/s; zero is at rest.
         reference : one time, or array_like of shape (n,)
-            When the boxes are where they were told to be: a float in s, or an int in ns.
+            When the boxes are at their stored places: a float in s, or an int in ns.
 
         Raises
         ------
@@ -77,8 +77,8 @@ class Timed(Arrays):
     def _count_nanoseconds(self, left: float = math.inf) -> None:
         """Let times, and paces, mean the whole nanoseconds nearest to them: of these all is
         decided, exactly, up to 2**51 ns (26 days) from time 0. Few of them are doubles of seconds.
-        Boxes go on for `left` (s) after they were told, and then stand. For a tree that knows no
-        velocities yet.
+        Boxes go on for `left` (s) after their reference, and then stand. For a tree without
+        velocities.
         """
         if self._motion is None:
             from .motion.queries import MotionQueries
@@ -111,8 +111,8 @@ class Timed(Arrays):
     def _motion_at(
         self, at: Any, pace: Any = NOW, count: int | None = None
     ) -> Optional['MotionQueries']:
-        """The motion, if any box moves and its time is asked for (`at` is not None); else the
-        times, of one query or `count`, are of no account, but must be times.
+        """The motion, if any box moves and `at` is not None; else None. The times, of one query or
+        `count`, are checked in any case.
         """
         if at is None:
             if pace is not NOW:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from bvh_ros.scene import Mesh, ShapeKind, Shapes
 from bvh_ros.scene.shapes.shape import rotations
-from bvh_ros.tree.access import BLOCKED_WAY, CORNERS, EDGES, PALETTE
+from bvh_ros.tree.access import BLOCKED_COLOUR, CORNERS, EDGES, PALETTE
 from bvh_ros.view.worlds import Floats, Overlay
 
 # ---- World coordinates (doubles) and page coordinates (float32)
@@ -270,7 +270,7 @@ class Overlays:
 
     def __init__(self, server: viser.ViserServer, placing: Placing) -> None:
         self._lines = Lines(server, placing, '/queries/rays', 2.0)
-        self._hits = Dots(server, placing, '/queries/hits', BLOCKED_WAY)
+        self._hits = Dots(server, placing, '/queries/hits', BLOCKED_COLOUR)
         self._scan = Dots(server, placing, '/scan', PALETTE[2])
         self._shown: Overlay | None = None
 

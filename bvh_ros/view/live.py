@@ -162,7 +162,7 @@ RATES = {
 
 
 class Topics:
-    """Listens to a node's topics; to pictures only while somebody wants them.
+    """Listens to a node's topics; to pictures only while the page shows them.
 
     Parameters
     ----------
@@ -230,7 +230,7 @@ class Topics:
         )
 
     def _note(self, message: DiagnosticArray) -> None:
-        """Take the figures of our node out of everybody's."""
+        """Take the figures of our node out of those of all nodes."""
         beginning = f'{self._name.lstrip("/")}: '
         mine = {
             status.name.removeprefix(beginning): {pair.key: pair.value for pair in status.values}
@@ -406,7 +406,7 @@ class Live(ShownWorld):
                 self._waiting()
 
     def want(self, wanted: Wanted) -> None:
-        """Subscribe to what somebody looks at."""
+        """Subscribe to what the page shows."""
         self.topics.want(wanted)
 
     def version(self) -> Hashable:

@@ -103,8 +103,8 @@ def main(args: Sequence[str] | None = None) -> int:
         print(f'bvh_view: http://{options.host}:{server.get_port()}', flush=True)
         if not _is_local(options.host):
             print(
-                f'bvh_view: {options.host} can be reached from other machines, and whoever '
-                'reaches it sees and asks all; nothing is encrypted',
+                f'bvh_view: {options.host} can be reached from other machines: all who '
+                'reach it see everything and may query; nothing is encrypted',
                 file=sys.stderr,
             )
         waiting = server.gui.add_html(html.escape(f'opening {options.what} ...'))

@@ -14,7 +14,7 @@ import numpy as np
 import viser
 
 from bvh_ros.ros.conversions.outlines import edges
-from bvh_ros.tree.access import BLOCKED_WAY, FREE_WAY
+from bvh_ros.tree.access import BLOCKED_COLOUR, FREE_COLOUR
 from bvh_ros.view.drawing import COLOURS, Dots, Lines, Placing, Shown
 from bvh_ros.view.worlds import NO_POINTS, Answer, Floats, Recording, ShownWorld
 
@@ -33,7 +33,7 @@ class Probe:
     def __init__(self, server: viser.ViserServer, placing: Placing) -> None:
         self._server, self._placing = server, placing
         self._lines = Lines(server, placing, '/ask/lines', 4.0)
-        self._spots = Dots(server, placing, '/ask/hits', BLOCKED_WAY)
+        self._spots = Dots(server, placing, '/ask/hits', BLOCKED_COLOUR)
         self._handles: list[viser.TransformControlsHandle] = []
         self._label = Shown(server, server.scene.add_label, '/ask/answer', anchor='bottom-center')
         self._query: Hashable = None
@@ -102,7 +102,7 @@ class Probe:
         self._show(lines, spots, names or 'free', size)
 
     def _show(self, lines: Floats, spots: Floats, text: str, size: float) -> None:
-        colour = BLOCKED_WAY if len(spots) else FREE_WAY
+        colour = BLOCKED_COLOUR if len(spots) else FREE_COLOUR
         self._lines.draw(lines, np.tile(colour, (len(lines), 1)))
         self._spots.draw(spots, 0.01 * size)
         if not text:
@@ -204,7 +204,7 @@ class Panel:
             recording.playing = button == 'Play'
 
     def on(self, control: Any, act: Callable[[], object]) -> None:
-        """Have something done when a control is set by somebody in a browser."""
+        """Call `act` when a control is set in a browser."""
         control.on_update(lambda event: self._do(act) if event.client is not None else None)
 
     def on_click(self, button: Any, act: Callable[[], object]) -> None:

@@ -24,7 +24,7 @@ SAME = 1e-6  # of the distance that a camera looks: hands move it farther, round
 
 
 class Following:
-    """Moves all cameras as somebody moves, and loses no step of it.
+    """Moves all cameras along with an obstacle, and loses no step of it.
 
     A browser reports its camera, and a late report overwrites newer commands. So the commanded
     targets of each camera are remembered. A camera that reports one of them still has to move on

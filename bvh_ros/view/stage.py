@@ -20,7 +20,7 @@ from bvh_ros.view.worlds import Floats, ShownWorld
 
 
 class LocalServer(viser.ViserServer):
-    """A server that tells nobody else: viser's tunnel to the outside stays shut."""
+    """A server for this machine alone: viser's tunnel to the outside stays shut."""
 
     def __init__(self, host: str, port: int) -> None:
         with contextlib.redirect_stdout(io.StringIO()):  # viser prints a box of its own

@@ -70,7 +70,7 @@ class Frame(NamedTuple):
 
 
 class Wanted(NamedTuple):
-    """What somebody wants to see; for the rest nobody works."""
+    """What the page shows; the rest is not computed."""
 
     tree: bool = False
     queries: bool = False
@@ -105,7 +105,7 @@ class ShownWorld:
         time.sleep(max(0.0, until - time.monotonic()))
 
     def want(self, wanted: Wanted) -> None:
-        """Bring what somebody looks at, and nothing else."""
+        """Bring what the page shows, and nothing else."""
 
     def version(self) -> Hashable:
         """Another one after each change of the obstacles."""

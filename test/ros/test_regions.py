@@ -11,10 +11,10 @@ import pytest
 pytest.importorskip('rclpy', reason='rclpy is not installed', exc_type=ImportError)
 
 from sensor_msgs.msg import PointCloud2
+from turns import unit_quaternions
 from visualization_msgs.msg import MarkerArray
 
 from bvh_ros.client import FREE, UNANSWERED, BvhClient, BvhError, BvhTimeoutError
-from bvh_ros.scene.shapes.shape import unit_quaternions
 
 pytestmark = pytest.mark.slow
 

@@ -9,11 +9,11 @@ pytest.importorskip('rclpy', reason='rclpy is not installed', exc_type=ImportErr
 
 import rclpy
 from ros.parts.mixed_world import FACING, PARAMETERS, PLACE, fill, same_scene
+from turns import unit_quaternions
 
 from bvh_ros.client import COMPILING, FREE, UNANSWERED, BvhClient, BvhError, BvhTimeoutError
 from bvh_ros.ros.server import has_typed_services
 from bvh_ros.scene import ShapeKind, Shapes
-from bvh_ros.scene.shapes.shape import unit_quaternions
 
 ROWS = 60
 RNG = np.random.default_rng(7)

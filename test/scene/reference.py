@@ -16,9 +16,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
+from turns import unit_quaternions
 
 from bvh_ros.scene import Scene, ShapeKind, Shapes
-from bvh_ros.scene.shapes.shape import unit_quaternions
 
 Floats = NDArray[np.float64]
 

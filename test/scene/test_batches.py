@@ -8,10 +8,11 @@ from functools import partial
 import numpy as np
 import pytest
 from hypothesis import strategies as st
+from scene.inside import store_of
 from scene.reference import bulging, random_shapes
+from turns import unit_quaternions
 
 from bvh_ros.scene import NO_NODE, Mesh, NodeScene, Numbered, Part, Shapes
-from bvh_ros.scene.shapes.shape import unit_quaternions
 
 NOBODY = np.full(3, np.nan)
 
@@ -187,7 +188,7 @@ def test_an_obstacle_at_two_places_is_one(set_slices):
     )
     update = scene.in_slices('test', '', 60, lambda length: parts, whole=True)
     next(update)
-    assert len(scene._store.tree) > len(scene) == 60
+    assert len(store_of(scene).tree) > len(scene) == 60
     points = rng.uniform(-6, 6, (60, 3))
     lists = [scene.overlap_shape(Shapes.boxes([p], [1, 1, 1]), 0.3) for p in points]
     assert_wants(lists, scene.overlap_many, points, [1, 1, 1], None, 0.3)

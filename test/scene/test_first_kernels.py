@@ -4,6 +4,7 @@
 
 import numpy as np
 import pytest
+from scene.inside import store_of
 
 from bvh_ros.scene import NO_NODE, Scene, Shapes
 from bvh_ros.scene.cast import batch
@@ -20,7 +21,7 @@ def row_of_boxes(turn=None):
     shapes = Shapes.boxes(places, [1.0, 1.0, 1.0], None if turn is None else [turn] * 20)
     scene.update('test', [str(i) for i in range(20)], shapes, stamp=1)
     scene.raycast_many(np.zeros((99, 3)), np.ones((99, 3)), radius=0.1, t_max=1.0)
-    assert scene._store.tree.ready_snapshot() is not None
+    assert store_of(scene).tree.ready_snapshot() is not None
     return scene
 
 

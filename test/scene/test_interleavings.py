@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scene.inside import store_of
 from tree.reference import effort
 
 from bvh_ros.scene import NodeScene, Numbered, Part, Shapes
@@ -104,7 +105,7 @@ class Model:
 
     def stands(self, shadow):
         """Whether a shadow is still there; its obstacle may be back where it was."""
-        held = self.scene._store
+        held = store_of(self.scene)
         slots = np.flatnonzero(held.columns.shadow).tolist()
         places = held.columns.geometry['position'][:, 0].tolist()
         return shadow[:2] in {(held.registry.name(slot), places[slot]) for slot in slots}
@@ -229,4 +230,4 @@ def test_whatever_happens_between_slices(planar, margin, there, moved, whole, st
         while one in model.running:
             model.step(one)
             model.check()
-    assert model.scene._store.columns.shadows == 0
+    assert store_of(model.scene).columns.shadows == 0

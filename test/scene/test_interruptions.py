@@ -9,6 +9,7 @@ import time
 
 import numpy as np
 import pytest
+from scene.inside import store_of
 from tree.interrupting import InterruptError, interrupted
 from tree.reference import effort
 
@@ -161,7 +162,7 @@ def test_slices(set_slices):
             scene.update('s', *rows(PLACES, range(COUNT)), stamp=4)
             scene.remove('s', Numbered('c#', np.arange(COUNT, 30)))
             assert len(scene.overlap([-1, -1, -1], [30, 30, 30])) == COUNT + 2
-            assert len(scene._store.tree) == COUNT + 2
+            assert len(store_of(scene).tree) == COUNT + 2
         at += effort(61, 5)
     assert refused > 5
 

@@ -7,9 +7,9 @@ import math
 import numpy as np
 import pytest
 from scene.reference import geometry_arrays, random_shapes, scene_of
+from turns import unit_quaternions
 
 from bvh_ros.scene import Scene, Shapes
-from bvh_ros.scene.shapes.shape import unit_quaternions
 
 
 def distances_of(world, point, planar):

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scene.inside import store_of
 from scene.reference import icosphere, scene_of
 from scipy.spatial import ConvexHull
 
@@ -19,7 +20,7 @@ def test_a_polygon_is_shared_and_kept_while_its_mesh_only_moves():
     tilted = np.array([(0.3, 0.1, 0.2, 0.93)] * 3)
     meshes = [Mesh(ball), Mesh(ball), Mesh(ball * 2)]
     scene = scene_of(Shapes.of_meshes(meshes, np.eye(3) * 9, tilted), planar=True)
-    store = scene._store.columns.meshes
+    store = store_of(scene).columns.meshes
     assert len(store) == 2
     before, hulls = store[0], store.hulls
     moved = Shapes.of_meshes([Mesh(ball)], [(5, 2, 3)], tilted[:1])

@@ -4,6 +4,7 @@
 
 import numpy as np
 import pytest
+from scene.inside import store_of
 
 from bvh_ros.scene import NodeScene, Part, ShapeKind, Shapes
 from bvh_ros.scene.tracking import Tracks
@@ -22,7 +23,7 @@ def shapes_at(rng, count):
 
 def expected(everything, lo, hi):
     """Names and handles-free facts of the obstacles of a scene that touch a box."""
-    held = everything._store
+    held = store_of(everything)
     names = [name for _, name in everything.names()]
     slots = np.array([held.registry.slot(name) for name in names], np.int64)
     low, high = held.tree.boxes(held.columns.tree_handle[slots])

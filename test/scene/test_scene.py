@@ -9,6 +9,7 @@ import sys
 
 import numpy as np
 import pytest
+from scene.inside import store_of
 
 from bvh_ros.scene import NodeScene, Numbered, Shapes, unchecked_shapes
 
@@ -89,7 +90,7 @@ def test_a_scene_is_copied_but_neither_pickled_nor_shared():
 
 def test_node_handles_end_with_a_clear_error():
     scene = NodeScene()
-    scene._store.next_node_handle = 2**31 - 1
+    store_of(scene).next_node_handle = 2**31 - 1
     assert scene.update('test', ['last'], BOX, stamp=1) == []
     assert scene.get('last').handle == 2**31 - 1
     with pytest.raises(OverflowError, match='node handles of this run are used up'):
@@ -132,7 +133,7 @@ def test_validation_in_turns_sees_what_there_was_and_finds_as_much():
     for turn, _ in enumerate(scene.validate_in_turns()):
         scene.update('s', [f'new {turn}'], shapes.take([0]), stamp=2)
     assert len(scene) > 60
-    scene._store.tree.view().tree.heights[:] += 1
+    store_of(scene).tree.view().tree.heights[:] += 1
     with pytest.raises(RuntimeError, match='height'):
         list(scene.validate_in_turns())
 

@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from turns import unit_quaternions
 
 from bvh_ros.scene import Mesh, Scene, ShapeKind, Shapes
-from bvh_ros.scene.shapes.shape import unit_quaternions
 
 BOX, SPHERE, CYLINDER, *_ = ShapeKind
 

@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 import pytest
+from scene.inside import store_of
 
 from bvh_ros.scene import NodeScene, Numbered, Part, Shapes, slicing
 from bvh_ros.scene.tracking import Tracks
@@ -25,7 +26,7 @@ def told(tracks, places, stamps):
 
 
 def velocity(scene, name):
-    held = scene._store
+    held = store_of(scene)
     (rows, _) = held.tree.velocities([held.columns.tree_handle[held.slot(name)]])
     return rows[0].tolist()
 

@@ -13,8 +13,7 @@ from rclpy.serialization import serialize_message
 from visualization_msgs.msg import Marker, MarkerArray
 
 from bvh_ros import scenarios
-from bvh_ros.view import still
-from bvh_ros.view.recorded import Tracks, open_recording
+from bvh_ros.view.recorded import Tracks, draw, open_recording
 
 BALL_GOES = 9.0  # s
 
@@ -114,7 +113,7 @@ def test_a_bag_is_read_as_the_node_reads_it(ros_context, bag):
 @pytest.mark.parametrize('source', ['warehouse', 'bag'])
 def test_a_still_shows_rays_and_hits(ros_context, source, bag, tmp_path, monkeypatch):
     pyplot = pytest.importorskip('matplotlib.pyplot', reason='matplotlib is not installed')
-    still.draw(tmp_path / 'still.png', None if source == 'warehouse' else bag)
+    draw(tmp_path / 'still.png', None if source == 'warehouse' else bag)
     seen = np.rint(255 * pyplot.imread(tmp_path / 'still.png')[..., :3]).astype(int)
     hit = np.abs(seen - (214, 94, 0)).max(axis=2) < 3
     assert hit.sum() > 30

@@ -96,7 +96,7 @@ def text(data, at, big_endian):
 
 @inlined
 def visible_text(data, at, big_endian):
-    """As `text`, of a string that somebody will look at: it must not end early."""
+    """As `text`, of a string that is shown to people: it must not end early."""
     begin, length, end = text(data, at, big_endian)
     for place in range(begin, begin + length):
         if data[place] == 0:

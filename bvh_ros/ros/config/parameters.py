@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
     from bvh_ros.scene import Shapes
 
-FARTHEST = 1e9  # m, of lengths: what is told in doubles is exact to a tenth of a micrometre there
+FARTHEST = 1e9  # m, of lengths: doubles are exact to a tenth of a micrometre there
 Value = bool | int | float | str | list[str] | list[float]
 
 
@@ -138,14 +138,14 @@ def _is_list(value: Any) -> bool:
     return isinstance(value, Sequence) and not isinstance(value, (str, bytes))
 
 
-# What the node was told, as plain values.
+# The settings of the node, as plain values.
 
 SHARED = 1024  # rows: with fewer, threads take longer to begin than they save
 
 
 @dataclass(frozen=True)
 class SourceSettings:
-    """What one source was told."""
+    """The settings of one source."""
 
     name: str
     type: str
@@ -157,13 +157,13 @@ class SourceSettings:
 
     @property
     def predicts(self) -> bool:
-        """Whether it tells velocities."""
+        """Whether its obstacles have velocities."""
         return bool(self.options.get('predict', 'none') != 'none')
 
 
 @dataclass(frozen=True)
 class ViewSettings:
-    """What one view was told."""
+    """The settings of one view."""
 
     name: str
     include: tuple[str, ...]
@@ -183,7 +183,7 @@ class TransformSettings:
 
 @dataclass(frozen=True)
 class Settings:
-    """What the node was told."""
+    """The settings of the node."""
 
     frame_id: str
     planar: bool
@@ -241,14 +241,14 @@ NODE_OPTIONS = (
         'max_hits',
         5_000,
         'An answer of raycast_all or overlap with more obstacles than this is an error: while a '
-        'reply is written nobody else is answered, 10 us an obstacle.',
+        'reply is written no other query is answered, 10 us an obstacle.',
         minimum=1,
         maximum=2**31 - 1,
     ),
     Option(
         'nearest_limit',
         16,
-        'How many obstacles nearest to a point ~/nearest tells of at most.',
+        'How many obstacles nearest to a point ~/nearest returns at most.',
         minimum=1,
         maximum=100_000,
     ),
@@ -275,7 +275,7 @@ NODE_OPTIONS = (
     Option(
         'history',
         0.0,
-        'So much before the newest data (s) can be asked about: the world is copied after each '
+        'So much before the newest data (s) queries may name: the world is copied after each '
         'message.',
         *(0.0, 1e6),
     ),
@@ -327,7 +327,7 @@ NODE_OPTIONS = (
 )
 SOURCE_OPTIONS = (
     Option('prefix', '', 'Begins the name of every obstacle of this source.'),
-    Option('required', False, 'Until this source has told all, every query answers an error.'),
+    Option('required', False, 'Until this source has sent all, every query answers an error.'),
     Option(
         'max_age',
         0.0,
@@ -521,7 +521,7 @@ def _check_names(parameter: str, names: Sequence[str], taken: Sequence[str]) -> 
 
 
 def _check_for_misspelt_options(node: Node, owners: Sequence[str]) -> None:
-    """Refuse options that nobody reads: a misspelt `required` would make the world look safe."""
+    """Refuse options that do not exist: a misspelt `required` would make the world look safe."""
     declared = node.list_parameters([], 0).names
     for name in given_at_start(node):
         owner = name.partition('.')[0]

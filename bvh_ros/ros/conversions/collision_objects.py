@@ -42,7 +42,7 @@ UNMOVED = np.array((0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0))  # as a pose: place and 
 NO_POSE = 'its pose is not finite, or the length of its orientation is neither 1 nor 0'
 
 
-# ---- Bodies: objects of the world, as they were told and moved.
+# ---- Bodies: objects of the world, as they were added and moved.
 
 
 class Body(NamedTuple):

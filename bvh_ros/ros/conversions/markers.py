@@ -4,15 +4,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator, Sequence
-from typing import Any, NamedTuple
+from collections.abc import Callable, Generator
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bvh_ros.ros.conversions import rotations
 from bvh_ros.ros.conversions.placing import IntoNode, Placing
-from bvh_ros.ros.conversions.times import nanoseconds
 from bvh_ros.ros.world.frames import Transform
 from bvh_ros.scene import (
     AS_CONVEX,
@@ -49,42 +48,6 @@ class MarkerTable(NamedTuple):
     lifetime: Integers  # (n,) ns
     points: Callable[[int], Floats]  # of a row, (k, 3)
     colours: Callable[[int], Floats]  # of a row's points, (k, 4), or none
-
-
-def table(markers: Sequence[Any]) -> MarkerTable:
-    """Return the columns of visualization_msgs/Marker objects."""
-    namespaces: dict[str, int] = {}
-    frame_ids: dict[str, int] = {}
-    numbers = np.empty((7, len(markers)), np.int64)
-    places = np.empty((len(markers), 10))
-    for row, marker in enumerate(markers):
-        at, turned, scale = marker.pose.position, marker.pose.orientation, marker.scale
-        places[row, :3] = at.x, at.y, at.z
-        places[row, 3:7] = turned.x, turned.y, turned.z, turned.w
-        places[row, 7:] = scale.x, scale.y, scale.z
-        numbers[:, row] = (
-            namespaces.setdefault(marker.ns, len(namespaces)),
-            frame_ids.setdefault(marker.header.frame_id, len(frame_ids)),
-            nanoseconds(marker.header.stamp),
-            *(marker.id, marker.type, marker.action),
-            nanoseconds(marker.lifetime),
-        )
-    namespace, frame, stamp, number, kind, action, lifetime = numbers
-
-    def points(row: int) -> Floats:
-        found = np.array([(p.x, p.y, p.z) for p in markers[row].points], np.float64)
-        return found.reshape(-1, 3)
-
-    def colours(row: int) -> Floats:
-        found = np.array([(c.r, c.g, c.b, c.a) for c in markers[row].colors], np.float64)
-        return found.reshape(-1, 4)
-
-    return MarkerTable(
-        *(list(namespaces), namespace, list(frame_ids), frame),
-        *(stamp, number, kind, action),
-        *(places[:, :3], places[:, 3:7], places[:, 7:]),
-        *(lifetime, points, colours),
-    )
 
 
 # Triangles to meshes, while others have their turn.

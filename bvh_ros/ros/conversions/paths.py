@@ -22,8 +22,8 @@ class Poses(NamedTuple):
     places: Floats  # (n, 3) m
     turns: Floats  # (n, 4) quaternions
     elsewhere: NDArray[np.bool_]  # (n,) whether the pose names another frame than the path
-    stamps: NDArray[np.int64]  # (n,) ns, the time that the pose is asked about; 0: now
-    before: Any = None  # Poses: those before, that itself of the first; None: nobody asks
+    stamps: NDArray[np.int64]  # (n,) ns, the time of the pose; 0: now
+    before: Any = None  # Poses: those before, that itself of the first; None: not needed
 
     def moved(self, transform: Transform) -> Poses:
         """Return the same in the node's frame."""

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from bvh_ros.ros.conversions.cloud_fields import all_or_none, columns, structured
+from bvh_ros.ros.cdr.point_cloud2 import all_or_none, columns, structured
 from bvh_ros.scene import Block, Refusals, ShapeKind, Shapes, unchecked_shapes
 
 CENTRE = ('x', 'y', 'z')

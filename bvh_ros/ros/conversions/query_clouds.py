@@ -16,20 +16,20 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 from sensor_msgs.msg import PointCloud2, PointField
 
-from bvh_ros.ros.cdr.point_cloud2 import PointCloud
-from bvh_ros.ros.conversions import rotations
-from bvh_ros.ros.conversions.cloud_fields import (
+from bvh_ros.ros.cdr.point_cloud2 import (
     DATATYPES,
+    PointCloud,
     all_or_none,
     columns,
     structured,
     widest,
 )
+from bvh_ros.ros.conversions import rotations
 from bvh_ros.ros.world.frames import Transform
 from bvh_ros.tree.access import shown_rows
 
 FREE = 0xFFFFFFFF  # instead of an obstacle's handle: nothing is hit
-UNANSWERED = 0xFFFFFFFE  # instead of an obstacle's handle: nobody knows
+UNANSWERED = 0xFFFFFFFE  # instead of an obstacle's handle: not known
 EVERYTHING = 0xFFFFFFFF  # the mask that sees every obstacle
 CODES = {kind: code for code, kind in DATATYPES.items()}
 ORIGIN, DIRECTION, NORMAL = ('x', 'y', 'z'), ('dx', 'dy', 'dz'), ('nx', 'ny', 'nz')
@@ -40,6 +40,11 @@ Masks = NDArray[np.uint32]
 Faults = dict[str, Any]  # (n,) bools by reason
 
 # ---- Questions.
+
+
+def improper(lengths: Floats) -> NDArray[np.bool_]:
+    """Which lengths or durations are not finite, or negative."""
+    return np.logical_not(np.isfinite(lengths) & (lengths >= 0.0))
 
 
 class Rays(NamedTuple):
@@ -66,12 +71,10 @@ class Rays(NamedTuple):
         with np.errstate(over='ignore', invalid='ignore'):
             endless = ~np.isfinite(self.directions * self.t_max[:, None]).all(axis=1)
         if self.radii is not None:
-            good = np.isfinite(self.radii) & (self.radii >= 0.0)
-            faults['its radius is not finite, or negative'] = ~good
+            faults['its radius is not finite, or negative'] = improper(self.radii)
             faults['it has a radius, and no end by t_max'] = (self.radii > 0.0) & endless
         if self.durations is not None:
-            good = np.isfinite(self.durations) & (self.durations >= 0.0)
-            faults['its duration is not finite, or negative'] = ~good
+            faults['its duration is not finite, or negative'] = improper(self.durations)
             faults['it has a duration, and no end by t_max'] = (self.durations != 0.0) & endless
         return faults
 
@@ -125,14 +128,10 @@ class Boxes(NamedTuple):
             reach = np.abs(self.places).max(axis=1) + 2.0 * self.sizes.sum(axis=1)
         return {
             'its centre is not finite': ~np.isfinite(self.places).all(axis=1),
-            'its size is not finite, or negative': ~(
-                np.isfinite(self.sizes) & (self.sizes >= 0.0)
-            ).all(axis=1),
+            'its size is not finite, or negative': improper(self.sizes).any(axis=1),
             'its orientation is not finite': ~np.isfinite(self.turns).all(axis=1),
             rotations.OFF: rotations.are_off(self.turns),
-            'its tolerance is not finite, or negative': ~(
-                np.isfinite(self.tolerances) & (self.tolerances >= 0.0)
-            ),
+            'its tolerance is not finite, or negative': improper(self.tolerances),
             'it reaches beyond the largest double': ~np.isfinite(reach),
         }
 
@@ -364,7 +363,7 @@ class Touched(NamedTuple):
     points: Floats  # (n, 3) m, of the first obstacle, closest to the box's centre
     distances: Floats  # (n,) m, from there to the centre; inf where there is none
     obstacles: NDArray[np.uint32]  # (n,) the first, nearest to the centre; FREE or UNANSWERED
-    counts: NDArray[np.uint32]  # (n,) how many there are; UNANSWERED where nobody knows
+    counts: NDArray[np.uint32]  # (n,) how many there are; UNANSWERED where not known
 
     def __repr__(self) -> str:
         return _shown('Touched', self.obstacles, 'boxes touched', 'distances', self.distances)
@@ -390,7 +389,7 @@ WHOLE = 'obstacles', 'counts'  # whole numbers
 
 
 def unanswered(kind: Any, count: int) -> Any:
-    """Return rows that say that nobody knows."""
+    """Return rows that say that nothing is known."""
     filled: dict[str, Any] = {
         'points': np.full((count, 3), np.nan),
         't': np.full(count, np.nan),

@@ -59,6 +59,7 @@ if TYPE_CHECKING:
     from bvh_ros.scene import NodeScene, Shapes
 
 Times = NDArray[np.int64]
+At = Times | None  # (n,) ns; None: now
 LONGEST = 2.0**60  # ns, as sums of these and of a stamp are no more than 64 bits
 NOW = -2  # instead of a state: rows about now
 
@@ -103,6 +104,50 @@ def spans_between(at: Times, until: Times, known: KnownTimes, now: int) -> Spans
     return Spans(at, until, which, states, unknown)
 
 
+UNKNOWN_TIME = 'its time is not known, see history and max_prediction'
+
+
+class Checked(NamedTuple):
+    """Some rows in the node's frame, and which of them can be answered."""
+
+    rows: Any
+    good: NDArray[np.bool_]  # (n,)
+    reason: str  # why the first that is not good cannot be answered
+    spans: Spans | None  # None: all are about now
+
+    def by_state(self, now: NodeScene) -> Iterator[tuple[NodeScene, Any, At, At]]:
+        """The good rows, state by state: the scene, which rows, and when they begin and end (ns).
+        `now` is the scene of rows about now. Where it is that of all rows, none is copied.
+        """
+        which = slice(None) if self.good.all() else np.flatnonzero(self.good)
+        if self.spans is None:
+            if self.good.any() or self.good.all():
+                yield now, which, None, None
+            return
+        rows = np.arange(len(self.good))[which]
+        for group in self.spans.take(rows).groups():
+            these = rows[group]
+            at, until, number = (column[these] for column in self.spans[:3])
+            if number[0] == NOW:
+                yield now, these, None, None
+            else:
+                yield self.spans.states[number[0]], these, at, until
+
+
+def checked(
+    rows: Any, number: int, transform: Transform | None, spans_of: Callable[[Any], Spans | None]
+) -> Checked:
+    """Bring rows, the first of which has this number, into the node's frame, and check them."""
+    if transform is not None:
+        with np.errstate(over='ignore', invalid='ignore'):  # what leaves the doubles is bad
+            rows = rows.moved(transform)
+    bad, reason = fault(rows, number)
+    spans = spans_of(rows)
+    if spans is not None:
+        bad, reason = bad | spans.unknown, reason or UNKNOWN_TIME
+    return Checked(rows, ~bad, reason, spans)
+
+
 # Many questions in one message, answered row for row: `~/rays` to `~/ray_hits`.
 
 QOS_PERIOD = 1.0  # seconds
@@ -117,7 +162,6 @@ LATE_REPEATS, LONG_ANSWER = 0.1, 0.02
 MANY_ROWS, MANY_OBSTACLES = 1024, 30_000
 TURN = 0.01  # seconds after which others get a turn
 DONE = object()
-UNKNOWN_TIME = 'its time is not known, see history and max_prediction'
 
 
 def prepare(
@@ -201,11 +245,11 @@ class Batch(NodePart):
     Parameters
     ----------
     world : World
-        Asked before each answer whether it is complete.
+        Checked for completeness before each answer.
     view : View
-        What is seen, of that what each row's mask asks for, and the name of the topics.
+        Its mask limits that of each row; its name begins the topics.
     kernels : OnDemand
-        What is compiled when somebody asks.
+        Kernels that are compiled on first use.
     """
 
     question_topic, answer_topic = 'rays', 'ray_hits'
@@ -250,7 +294,7 @@ class Batch(NodePart):
             return
         try:
             request = self._read(serialised)
-        except ValueError as error:  # from whom, and what was asked, is not known
+        except ValueError as error:  # the sender and the question are not known
             self.refused.add(str(error))
             return
         self._work.append((serialised, self._answering(request, serialised)))
@@ -314,7 +358,7 @@ class Batch(NodePart):
         return decoder.read(serialised)
 
     def _questions(self, request: Any) -> QueryCloud | PathPoses:
-        """What is asked; ValueError if it cannot be read."""
+        """Return the rows of a message; ValueError if it cannot be read."""
         return QueryCloud(request, self.question)
 
     def _spans(self, moments: Any, stamp: int) -> Spans | None:
@@ -370,40 +414,26 @@ class Batch(NodePart):
         message, ns.
         """
         scene = self._now()
-        if transform is not None:
-            with np.errstate(over='ignore', invalid='ignore'):  # what leaves the doubles is bad
-                questions = questions.moved(transform)
-        bad, reason = fault(questions, number)
-        spans = self._spans(questions, stamp)
-        if spans is not None:
-            bad, reason = bad | spans.unknown, reason or UNKNOWN_TIME
-        good = self._count(bad, reason)
-        if good.all():
-            answers = self._ask_all(scene, questions, spans)
-        else:
+        rows, good, reason, _ = given = checked(
+            questions, number, transform, lambda rows: self._spans(rows, stamp)
+        )
+        refused = int(np.count_nonzero(~good))
+        self.answered += len(good) - refused
+        if refused:
+            self.refused.add(reason, refused)
+        answers: Any = None
+        if refused or given.spans is not None:
             answers = unanswered(self.answer, len(good))
-            some = None if spans is None else spans.take(good)
-            put(answers, good, self._ask_all(scene, take(questions, good), some))
-        self._draw(questions, answers)
+        for state, these, at, until in given.by_state(scene):
+            found = self._ask(state, take(rows, these), at, until)
+            if answers is None:  # all rows at once: none is copied
+                answers = found
+            else:
+                put(answers, these, found)
+        self._draw(rows, answers)
         return answers if transform is None else moved_back(transform, answers)
 
-    def _ask_all(self, scene: NodeScene, questions: Any, spans: Spans | None) -> Any:
-        """Ask about now, or about each row's time what was known then."""
-        if spans is None:
-            return self._ask(scene, questions)
-        answers = unanswered(self.answer, len(spans.at))
-        for rows in spans.groups():
-            some, number = take(questions, rows), spans.which[rows[0]]
-            if number == NOW:
-                found = self._ask(scene, some)
-            else:
-                found = self._ask(spans.states[number], some, spans.at[rows], spans.until[rows])
-            put(answers, rows, found)
-        return answers
-
-    def _ask(
-        self, scene: NodeScene, questions: Any, at: Times | None = None, until: Times | None = None
-    ) -> Any:
+    def _ask(self, scene: NodeScene, questions: Any, at: At, until: At) -> Any:
         """Ask the scene, about now or (n,) times in ns."""
         raise NotImplementedError
 
@@ -416,14 +446,6 @@ class Batch(NodePart):
 
     def _threads(self, rows: int) -> int:
         return self._world.settings.threads_for(rows)
-
-    def _count(self, bad: NDArray[np.bool_], reason: str) -> NDArray[np.bool_]:
-        """Count rows that are answered, and not; return which are."""
-        refused = int(np.count_nonzero(bad))
-        self.answered += len(bad) - refused
-        if refused:
-            self.refused.add(reason, refused)
-        return ~bad
 
 
 class RayBatch(Batch):
@@ -451,13 +473,7 @@ class RayBatch(Batch):
         if self._drawing.is_watched:
             self._drawing.add_rays(questions, answers)
 
-    def _ask(
-        self,
-        scene: NodeScene,
-        questions: Rays,
-        at: Times | None = None,
-        until: Times | None = None,
-    ) -> Hits:
+    def _ask(self, scene: NodeScene, questions: Rays, at: At, until: At) -> Hits:
         """First hits; a ray that takes time reaches its t_max at the end of that time."""
         directions, limits, whole = questions.directions, questions.t_max, np.ones(1)
         if at is not None and until is not None:
@@ -486,13 +502,7 @@ class PointBatch(Batch):
     question_topic, answer_topic = 'points', 'nearest_hits'
     question, answer, needed, needed_then = Points, Near, POINTS, NEAREST_THEN
 
-    def _ask(
-        self,
-        scene: NodeScene,
-        questions: Points,
-        at: Times | None = None,
-        until: Times | None = None,
-    ) -> Near:
+    def _ask(self, scene: NodeScene, questions: Points, at: At, until: At) -> Near:
         masks = self._masks(questions.masks)
         handles, distances, points = scene.nearest_many(
             *(questions.places, 1, questions.reaches, masks),
@@ -508,13 +518,7 @@ class BoxBatch(Batch):
     question_topic, answer_topic = 'boxes', 'box_hits'
     question, answer, needed, needed_then = Boxes, Touched, BOXES_ASKED, BOXES_ASKED
 
-    def _ask(
-        self,
-        scene: NodeScene,
-        questions: Boxes,
-        at: Times | None = None,
-        until: Times | None = None,
-    ) -> Touched:
+    def _ask(self, scene: NodeScene, questions: Boxes, at: At, until: At) -> Touched:
         masks = self._masks(questions.masks)
         hits = scene.overlap_many(
             *(questions.places, questions.sizes, rotations.set_ones(questions.turns)),
@@ -567,13 +571,7 @@ class PathBatch(Batch):
         which = np.where(timed, spans.which, NOW)
         return spans._replace(which=which, unknown=spans.unknown & timed)
 
-    def _ask(
-        self,
-        scene: NodeScene,
-        questions: Poses,
-        at: Times | None = None,
-        until: Times | None = None,
-    ) -> Near:
+    def _ask(self, scene: NodeScene, questions: Poses, at: At, until: At) -> Near:
         mask, threads = self.view.mask, self._threads(len(questions.places))
         parts = [
             scene.clearance_many(paths.shapes(questions, part), np.inf, mask, True, threads, at=at)
@@ -599,7 +597,7 @@ class SweepBatch(PathBatch):
         return PathPoses(serialised, between=True)
 
     def _spans(self, moments: Poses, stamp: int) -> Spans | None:
-        """A way begins when the pose before is asked about."""
+        """A sweep begins at the time of the pose before."""
         before, stamps, times = moments.before.stamps, moments.stamps, self._world.times
         if times is None or not (stamps.any() or before.any()):
             return None
@@ -610,14 +608,8 @@ class SweepBatch(PathBatch):
         which = np.where(timed, spans.which, NOW)
         return spans._replace(which=which, unknown=(spans.unknown | back) & timed)
 
-    def _ask(
-        self,
-        scene: NodeScene,
-        questions: Poses,
-        at: Times | None = None,
-        until: Times | None = None,
-    ) -> Any:
-        poses = super()._ask(scene, questions, until)
+    def _ask(self, scene: NodeScene, questions: Poses, at: At, until: At) -> Any:
+        poses = super()._ask(scene, questions, until, until)
         before, mask = questions.before, self.view.mask
         starts, turns = before.places, rotations.set_ones(before.turns)
         goals, goal_turns = questions.places, rotations.set_ones(questions.turns)

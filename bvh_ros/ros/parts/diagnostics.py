@@ -69,7 +69,7 @@ class SceneStatistics:
 
     def _take(self) -> Iterator[None]:
         if self._world.scene.interrupted:
-            return  # nobody knows what it holds
+            return  # its content is unknown
         visible = {}
         for view in self._world.views:
             visible[view.name] = self._world.scene.count(view.mask)
@@ -111,9 +111,10 @@ def _costs(cost: float, when_built: float) -> dict[str, str]:
     return {'cost': f'{cost:.4g}', 'cost over that of the last build': ratio}
 
 
-# What has to be done again and again, whoever asks.
+# What has to be done again and again.
 
-EXPIRY_PERIOD = 0.1  # seconds; queries expire obstacles exactly, this frees what nobody asks about
+# Queries expire obstacles exactly. This frees their memory where there are no queries.
+EXPIRY_PERIOD = 0.1  # seconds
 QOS_PERIOD = 1.0  # seconds
 
 
@@ -148,7 +149,7 @@ STOPPED = '/clock stands still: no lifetime ends, and no source grows older'
 
 
 class Answerer(Protocol):
-    """What answers rays by the thousand."""
+    """A part that answers batches."""
 
     what: str
     refused: Refused

@@ -16,7 +16,7 @@ from bvh_ros.ros.conversions import outlines, rotations
 from bvh_ros.ros.conversions.query_clouds import FREE, UNANSWERED, Floats
 from bvh_ros.ros.parts.part import OnDemandPublisher
 from bvh_ros.scene import ShapeKind, Shapes
-from bvh_ros.tree.access import BLOCKED_WAY, FREE_WAY, PALETTE
+from bvh_ros.tree.access import BLOCKED_COLOUR, FREE_COLOUR, PALETTE
 
 if TYPE_CHECKING:
     from rclpy.node import Node
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from bvh_ros.ros.world.world import World
     from bvh_ros.scene import SceneHit
 
-# `~/scene` and `~/tree`: the world and the tree about it as few markers, while somebody looks.
+# `~/scene` and `~/tree`: the world and the tree as few markers, while there are subscribers.
 #
 # RViz becomes unusable with thousands of markers, so boxes of one size and orientation are one
 # CUBE_LIST, spheres of one size one SPHERE_LIST, and all boxes that have few like them the
@@ -153,15 +153,15 @@ def _sign(text: str, lo: outlines.Floats, hi: outlines.Floats) -> Drawing:
     return Drawing(Marker.TEXT_VIEW_FACING, (0.0, 0.0, LETTERS * size), position=place, text=text)
 
 
-# `~/queries`: the last questions and what they met, while somebody looks.
+# `~/queries`: the last questions and their hits, while there are subscribers.
 
 RAY_LINE, SPOT = 0.01, 0.08  # m: width of a line, diameter of a hit
-FREE_COLOUR, BLOCKED_COLOUR = ((*colour.tolist(), 1.0) for colour in (FREE_WAY, BLOCKED_WAY))
+FREE_RGBA, BLOCKED_RGBA = ((*colour.tolist(), 1.0) for colour in (FREE_COLOUR, BLOCKED_COLOUR))
 EMPTY_WORLD = 10.0  # m that a ray without end is drawn long where there is nothing
 
 
 class Answer(NamedTuple):
-    """What is drawn of an answer."""
+    """An answer, as lines and points."""
 
     lines: Floats  # (n, 2, 3), m
     blocked: NDArray[np.bool_]  # (n,), whether a line meets an obstacle
@@ -171,8 +171,8 @@ class Answer(NamedTuple):
 class QueryDrawing(OnDemandPublisher):
     """Shows the last answer to each question since the last message; green is free, red is not.
 
-    So a question that is asked all the time leaves no trail of old hits. A ray ends where it hits,
-    and one without end some way behind the world. A box that was asked about is drawn by edges.
+    So a repeated question leaves no trail of old hits. A ray ends where it hits,
+    and one without end somewhat behind the world. A queried box is drawn by its edges.
     """
 
     def __init__(self, node: Node, world: World, settings: DrawSettings) -> None:
@@ -197,7 +197,7 @@ class QueryDrawing(OnDemandPublisher):
         self._remember(question, Answer(lines, blocked, hits.points[rows][blocked]))
 
     def add_query(self, query: Query, hits: Sequence[SceneHit], *, is_box: bool) -> None:
-        """Remember what a service was asked and answered."""
+        """Remember a query of a service, and its answer."""
         spots = np.array([hit.point for hit in hits]).reshape(-1, 3)
         start, goal = np.array(query.start), np.array(query.goal)
         lines = np.stack((start, goal))[None]
@@ -211,19 +211,19 @@ class QueryDrawing(OnDemandPublisher):
         self._remember((query, is_box), Answer(lines, blocked, spots))
 
     def message(self) -> bytes | None:
-        """Return the serialised MarkerArray, or None if nothing was asked since the last."""
+        """Return the serialised MarkerArray, or None without queries since the last."""
         if not self._answers:
             return None
         answers = zip(*self._answers.values(), strict=True)
         lines, blocked, spots = (np.concatenate(one)[-self._limit :] for one in answers)
         self._answers.clear()
-        colours = np.where(blocked[:, None], BLOCKED_COLOUR, FREE_COLOUR).astype(np.float32)
+        colours = np.where(blocked[:, None], BLOCKED_RGBA, FREE_RGBA).astype(np.float32)
         drawings = [
             Drawing(
                 Marker.LINE_LIST, (RAY_LINE, 0.0, 0.0), namespace='rays',
                 points=lines.reshape(-1, 3), colours=np.repeat(colours, 2, axis=0),
             ),
-            Drawing(Marker.SPHERE_LIST, (SPOT, SPOT, SPOT), BLOCKED_COLOUR, 'hits', points=spots),
+            Drawing(Marker.SPHERE_LIST, (SPOT, SPOT, SPOT), BLOCKED_RGBA, 'hits', points=spots),
         ]  # fmt: skip
         frames, clock = self._world.frames, self.node.get_clock()
         return marker_array(drawings, frames.frame_id, clock.now().nanoseconds)

@@ -43,7 +43,7 @@ class NamesPublisher(OnDemandPublisher):
         self._close.append(lambda: node.destroy_guard_condition(self._turn))
 
     def message(self) -> None:
-        """Begin to put together a DiagnosticStatus, unless nobody came or went."""
+        """Begin to put together a DiagnosticStatus, unless no obstacle came or went."""
         if self._work is None and self._world.scene.population != self._population:
             self._population = self._world.scene.population
             self._work = self._tell()

@@ -150,7 +150,7 @@ class Replies:
         return not any('failed to send response' in str(one.message) for one in said)
 
     def _look(self) -> None:
-        """Try one: an attempt that fails takes 0.1 s, in which nobody else is served."""
+        """Try one: an attempt that fails takes 0.1 s, in which the node serves nothing else."""
         late = min(self._late, key=lambda one: one.due)
         if late.due <= time.monotonic():
             self._late.remove(late)
@@ -215,10 +215,10 @@ class NodePart:
             self._close.pop()()
 
 
-# Topics that are worked for only while somebody listens.
+# Topics that cost nothing without subscribers.
 
 PERIOD = 1.0  # seconds
-TELL = 2  # times that a newcomer is told: it may find us a moment after we found it
+REPEATS = 2  # of a message for a new subscriber, which may find us a moment after we found it
 
 
 class OnDemandPublisher(NodePart):
@@ -233,7 +233,7 @@ class OnDemandPublisher(NodePart):
         self.is_watched = False
         self._published_at = -PERIOD
         self._last: Any = None
-        self._to_tell = 0  # times that the last message is still to be said again
+        self._repeats = 0  # how often the last message is still to be published again
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self._timer = node.create_timer(PERIOD, self._publish, clock=steady, autostart=False)
         self._close.append(partial(node.destroy_timer, self._timer))
@@ -254,7 +254,7 @@ class OnDemandPublisher(NodePart):
             self._timer.cancel()
             return
         if status.current_count_change > 0:
-            self._to_tell = TELL
+            self._repeats = REPEATS
         if not self.is_watched:
             self.is_watched = True
             self._timer.reset()
@@ -263,14 +263,14 @@ class OnDemandPublisher(NodePart):
 
     def _publish(self) -> None:
         message = self.message()
-        if message is None and self._to_tell > 0:
+        if message is None and self._repeats > 0:
             message = self._last
         if message is not None:
             self.send(message)
 
     def send(self, message: Any) -> None:
         """Publish a message, which is the newest from now on."""
-        self._to_tell -= self._to_tell > 0
+        self._repeats -= self._repeats > 0
         self._last = message
         self._published_at = time.monotonic()
         self._publisher.publish(message)

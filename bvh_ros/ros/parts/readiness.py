@@ -21,12 +21,12 @@ if TYPE_CHECKING:
 
 
 class OnDemand(NodePart):
-    """Compiles what is asked for; until it is there, the answer is how far that has come.
+    """Compiles kernels on first use; until they are there, queries say how far that has come.
 
     Parameters
     ----------
     jobs : sequence of Job
-        What may be asked for.
+        Each compiles the kernels of some queries.
     """
 
     def __init__(self, node: Node, jobs: Sequence[Job]) -> None:
@@ -63,7 +63,7 @@ class OnDemand(NodePart):
         if name not in self._under_way:
             compilation = self._under_way[name] = Compilation([self._jobs[name]], 1)
             if compilation.seconds:  # else it was compiled before, and is but loaded
-                self.node.get_logger().info(f'compiling {name}: somebody asks for the first time')
+                self.node.get_logger().info(f'compiling {name}: first use')
             self._close.append(partial(self._end, name))
         return self._under_way[name]
 
@@ -84,7 +84,7 @@ class Readiness(NodePart):
     Parameters
     ----------
     world : World
-        Told while not every question can be answered.
+        Its `compiling` is set while not every query can be answered.
     done : callable
         Called once the world is ready, if that is later than the first answers.
     """

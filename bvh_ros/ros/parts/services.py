@@ -47,13 +47,13 @@ class QueryServices(NodePart):
     Parameters
     ----------
     world : World
-        Asked before each answer whether it is complete.
+        Checked for completeness before each answer.
     view : View
-        What these services see.
+        The part of the world that these services see.
     drawing : QueryDrawing
-        Is told of questions and answers while somebody looks.
+        Gets questions and answers while it has subscribers.
     kernels : OnDemand
-        What is compiled when somebody asks.
+        Kernels that are compiled on first use.
     """
 
     def __init__(
@@ -114,11 +114,6 @@ class QueryServices(NodePart):
         moves = answer in (self._raycast, self._raycast_all)
         return times.require(span_of(request, moves=moves), now)
 
-    def _scene_of(self, scene: NodeScene, span: Span, now: int) -> NodeScene:
-        """The scene, or what was known at an earlier time."""
-        times = self._world.times
-        return scene if times is None or span.at is None else times.state(span.at, now)
-
     def _reply(self, request: Any, response: Any, answer: Answer, oriented: bool) -> None:
         began = time.perf_counter_ns()
         now = self._clock.now().nanoseconds
@@ -130,10 +125,12 @@ class QueryServices(NodePart):
             query = plans.query(request, frames.into_node, oriented=oriented)
             if answer == self._nearest:
                 query = plans.of_point(request, query)
-            scene = self._scene_of(scene, span, now)
+            if span.at is not None and self._world.times is not None:
+                scene = self._world.times.state(span.at, now)  # as it was known then
             hits = answer(scene, query, span)
             if span.at is not None and span.until is not None:
-                hits = _when_met(hits, span.at, span.until)
+                ns = span.until - span.at
+                hits = [hit._replace(stamp=span.at + round(hit.t * ns)) for hit in hits]
             self._replies.fill(plan, hits, frames.frame_id, scene.newest)
             if self._drawing.is_watched:
                 self._drawing.add_query(query, hits, is_box=oriented)
@@ -145,14 +142,9 @@ class QueryServices(NodePart):
             reason = str(error)
         except Exception as error:  # whatever went wrong, the way must not look free
             reason = explain(error)
-        if reason != self._world.compiling:  # that is told as progress
+        if reason != self._world.compiling:  # that is logged as progress
             self.refused.add(reason)
         plans.fill_error(plan, request, reason, frames.frame_id, now)
-
-
-def _when_met(hits: Sequence[SceneHit], at: int, until: int) -> Sequence[SceneHit]:
-    """Hits whose stamps are the times of contact."""
-    return [hit._replace(stamp=at + round(hit.t * (until - at))) for hit in hits]
 
 
 @coroutine

@@ -32,11 +32,11 @@ from bvh_ros.ros.conversions.query_clouds import (
     Masks,
     Points,
     Rays,
-    fault,
+    improper,
     take,
 )
 from bvh_ros.ros.conversions.times import nanoseconds
-from bvh_ros.ros.parts.batches import UNKNOWN_TIME, Pace, Spans, Times, near, prepare, spans_after
+from bvh_ros.ros.parts.batches import Pace, Spans, checked, near, prepare, spans_after
 from bvh_ros.ros.parts.part import NodePart, Timings
 from bvh_ros.ros.parts.services import in_turns
 from bvh_ros.ros.qos import repeated
@@ -58,7 +58,7 @@ MANY_NAMES = 8
 
 
 class ShapeRows(NamedTuple):
-    """Shapes whose clearance is asked for; nothing is known of their values yet."""
+    """Shapes of a clearance query, with unchecked values."""
 
     kinds: NDArray[np.uint8]  # (n,)
     places: Floats  # (n, 3) m
@@ -94,7 +94,7 @@ class ShapeRows(NamedTuple):
 
 
 class SweepRows(NamedTuple):
-    """Shapes that go from pose to pose; nothing is known of their values yet."""
+    """Shapes that go from pose to pose, with unchecked values."""
 
     kinds: NDArray[np.uint8]  # (n,)
     places: Floats  # (n, 3) m
@@ -119,14 +119,12 @@ class SweepRows(NamedTuple):
         faults = start.faults()
         del faults['its max_distance is NaN or negative']
         faults |= {f'at its goal, {why}': rows for why, rows in goal.faults().items()}
-        good = np.isfinite(self.tolerances) & (self.tolerances >= 0.0)
-        faults['its tolerance is not finite, or negative'] = ~good
+        faults['its tolerance is not finite, or negative'] = improper(self.tolerances)
         with np.errstate(over='ignore', invalid='ignore'):
             far = np.isfinite(self.goals - self.places).all(axis=1)
         faults['its way is too long'] = np.logical_not(far)
         if self.durations is not None:
-            good = np.isfinite(self.durations) & (self.durations >= 0.0)
-            faults['its duration is not finite, or negative'] = ~good
+            faults['its duration is not finite, or negative'] = improper(self.durations)
         return faults
 
     def moved(self, transform: Transform) -> SweepRows:
@@ -180,20 +178,24 @@ class Question(NamedTuple):
         The service.
     read : callable
         From a request to its rows; ValueError if its arrays do not belong together.
-    needs : callable
-        From a request and whether it is about other times to the names of what is compiled.
     ask : callable
         From scene, request, rows, begin and end (ns, or None) and the limit to Answers.
-    points, vectors : sequence of str
-        Fields of the response that are in the frame of the request.
+    kernels, timed : sequence of str
+        What is compiled on first use: for all its requests, and for those about other times.
     """
 
     kind: type
     read: Callable[[Any], Any]
-    needs: Callable[[Any, bool], Sequence[str]]
     ask: Callable[..., Answers]
-    points: Sequence[str] = ()
-    vectors: Sequence[str] = ()
+    kernels: Sequence[str] = ()
+    timed: Sequence[str] = ()
+
+    def needs(self, request: Any, is_timed: bool) -> Sequence[str]:
+        """Names of what a request needs compiled."""
+        if self.kind is Raycast:
+            balls = len(request.radii) and not is_timed and not request.all_hits
+            return [BALLS] if balls else []
+        return [*self.kernels, *(self.timed if is_timed else ())]
 
 
 class TypedServices(NodePart):
@@ -202,11 +204,11 @@ class TypedServices(NodePart):
     Parameters
     ----------
     world : World
-        Asked before each answer whether it is complete.
+        Checked for completeness before each answer.
     view : View
         What these services show.
     kernels : OnDemand
-        What is compiled when somebody asks.
+        Kernels that are compiled on first use.
     """
 
     def __init__(self, node: Node, world: World, view: View, kernels: OnDemand) -> None:
@@ -222,17 +224,16 @@ class TypedServices(NodePart):
         self._limit, self._threads = settings.max_hits, settings.threads_for
         self._pace = Pace()
         self._work: list[Generator[None, None, str]] = []  # begun
-        ray, points = Question(Raycast, _rays, _ray_kernels, self._cast), ['points']
-        near_point = Question(Nearest, _points, _point_kernels, self._nearest)
-        shape = Question(Clearance, _shapes, _shape_kernels, self._clearance)
-        self._serve('raycast', ray._replace(points=points, vectors=['normals']))
-        self._serve('overlap', Question(Overlap, _boxes, _box_kernels, self._overlap))
-        self._serve('nearest', near_point._replace(points=['closest'], vectors=['normals']))
-        self._serve('clearance', shape._replace(points=['shape_points', 'obstacle_points']))
-        sweep = Question(Sweep, _swept_shapes, _sweep_kernels, self._sweep)
-        self._serve('sweep', sweep._replace(points=['points'], vectors=['normals']))
+        for question in (
+            Question(Raycast, _rays, self._cast),
+            Question(Overlap, _boxes, self._overlap, [BOXES_ASKED]),
+            Question(Nearest, _points, self._nearest, [POINTS], [NEAREST_THEN]),
+            Question(Clearance, _shapes, self._clearance, [CLEARANCES], [PATHS_THEN]),
+            Question(Sweep, _swept_shapes, self._sweep, [SWEEPS]),
+        ):
+            self._serve(question)
 
-    def _serve(self, name: str, question: Question) -> None:
+    def _serve(self, question: Question) -> None:
         async def callback(request: Any, response: Any) -> Any:
             work = self._reply(request, response, question)
             self._work.append(work)
@@ -242,7 +243,7 @@ class TypedServices(NodePart):
                 self._work.remove(work)
             return response
 
-        name = f'query/{name}'
+        name = f'query/{question.kind.__name__.lower()}'
         self.service(question.kind, self.view.topic(name), callback)
         self.repeated_service(question.kind, self.view.topic(repeated(name)), callback)
 
@@ -274,7 +275,7 @@ class TypedServices(NodePart):
             status, reason = STATUS.BAD_REQUEST, str(error)
         except Exception as error:  # whatever went wrong, no row may look free
             reason = explain(error)
-        if status != STATUS.COMPILING:  # that is told as progress
+        if status != STATUS.COMPILING:  # that is logged as progress
             self.refused.add(reason)
         write(response, unanswered(response, count), np.full(count, status), reason)
         self.timings.add(began)
@@ -313,22 +314,17 @@ class TypedServices(NodePart):
 
         def answer(piece: slice) -> None:
             now = self.node.get_clock().now().nanoseconds
-            scene, some = world.at(now), take(rows, piece)
-            if transform is not None:
-                with np.errstate(over='ignore', invalid='ignore'):  # what leaves doubles is bad
-                    some = some.moved(transform)
-            bad, reason = fault(some, piece.start)
-            spans = spans_of(some)
-            if spans is not None:
-                bad, reason = bad | spans.unknown, reason or UNKNOWN_TIME
-            numbers = np.arange(piece.start, piece.start + len(bad))
-            if bad.any():
-                reasons.append(reason)
-                statuses[numbers[bad]] = STATUS.BAD_REQUEST
-                parts.append((numbers[bad], unanswered(response, int(np.count_nonzero(bad)))))
-            for state, these, at, until in _states(scene, spans, ~bad):
-                masks = some.masks[these] & np.uint32(self.view.mask)
-                these_rows = take(some, these)._replace(masks=masks)
+            scene = world.at(now)
+            given = checked(take(rows, piece), piece.start, transform, spans_of)
+            numbers = np.arange(piece.start, piece.start + len(given.good))
+            bad = numbers[~given.good]
+            if len(bad):
+                reasons.append(given.reason)
+                statuses[bad] = STATUS.BAD_REQUEST
+                parts.append((bad, unanswered(response, len(bad))))
+            for state, these, at, until in given.by_state(scene):
+                masks = given.rows.masks[these] & np.uint32(self.view.mask)
+                these_rows = take(given.rows, these)._replace(masks=masks)
                 found = question.ask(state, request, these_rows, at, until, limit)
                 if request.with_names:
                     found.numbers['names'] = names_of(state, found.obstacles)
@@ -343,7 +339,7 @@ class TypedServices(NodePart):
             world.at(self.node.get_clock().now().nanoseconds)
         answers = merged(count, parts)
         if transform is not None:
-            answers = back(transform, answers, question)
+            answers = back(transform, answers)
         newest = world.scene.newest
         response.stamp.sec, response.stamp.nanosec = divmod(newest, 1_000_000_000)
         self.answered += count - int(np.count_nonzero(statuses))
@@ -587,65 +583,21 @@ def _swept_shapes(request: Any) -> SweepRows:
     )
 
 
-def _sweep_kernels(_request: Any, _timed: bool) -> Sequence[str]:
-    return [SWEEPS]
-
-
-def _ray_kernels(request: Any, timed: bool) -> Sequence[str]:
-    return [BALLS] if len(request.radii) and not timed and not request.all_hits else []
-
-
-def _box_kernels(_request: Any, _timed: bool) -> Sequence[str]:
-    return [BOXES_ASKED]
-
-
-def _point_kernels(_request: Any, timed: bool) -> Sequence[str]:
-    return [POINTS, *([NEAREST_THEN] if timed else [])]
-
-
-def _shape_kernels(_request: Any, timed: bool) -> Sequence[str]:
-    return [CLEARANCES, *([PATHS_THEN] if timed else [])]
-
-
 # Rows, and the answers to them.
 
 
-def back(transform: Transform, answers: Answers, question: Question) -> Answers:
+POINT_FIELDS = 'points', 'closest', 'shape_points', 'obstacle_points'
+WIDTHS = {'t': 1, 'free_until': 1, 'distances': 1, 'normals': 3, **dict.fromkeys(POINT_FIELDS, 3)}
+"""Numbers of an obstacle, by fields of the responses."""
+
+
+def back(transform: Transform, answers: Answers) -> Answers:
     """Return answers in the frame that the request came from."""
     inverse, numbers = transform.inverse(), dict(answers.numbers)
     with np.errstate(over='ignore', invalid='ignore'):
-        numbers |= {name: inverse.points(numbers[name]) for name in question.points}
-        numbers |= {name: inverse.vectors(numbers[name]) for name in question.vectors}
+        numbers |= {n: inverse.points(numbers[n]) for n in POINT_FIELDS if n in numbers}
+        numbers |= {n: inverse.vectors(numbers[n]) for n in ['normals'] if n in numbers}
     return answers._replace(numbers=numbers)
-
-
-def _states(
-    scene: NodeScene, spans: Spans | None, good: NDArray[np.bool_]
-) -> Generator[tuple[NodeScene, Any, Times | None, Times | None], None, None]:
-    """The states that the good rows are about: scene, rows, begin and end of each."""
-    if spans is None:
-        if good.all():  # no row is copied
-            yield scene, slice(None), None, None
-        elif good.any():
-            yield scene, np.flatnonzero(good), None, None
-        return
-    rows = np.flatnonzero(good)
-    for group in spans.take(rows).groups():
-        these = rows[group]
-        yield spans.states[spans.which[these[0]]], these, spans.at[these], spans.until[these]
-
-
-WIDTHS = {
-    't': 1,
-    'free_until': 1,
-    'distances': 1,
-    'points': 3,
-    'closest': 3,
-    'normals': 3,
-    'shape_points': 3,
-    'obstacle_points': 3,
-}
-"""Numbers of an obstacle, by fields of the responses."""
 
 
 def _fields(response: Any) -> dict[str, int]:
@@ -653,7 +605,7 @@ def _fields(response: Any) -> dict[str, int]:
 
 
 def unanswered(response: Any, count: int) -> Answers:
-    """Return rows that say that nobody knows."""
+    """Return rows that say that nothing is known."""
     numbers: dict[str, Any] = {
         name: np.full((count, width) if width > 1 else count, np.nan)
         for name, width in _fields(response).items()

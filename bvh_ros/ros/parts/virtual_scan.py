@@ -5,16 +5,25 @@
 from __future__ import annotations
 
 import time
-from typing import TYPE_CHECKING, Any
+from array import array
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from geometry_msgs.msg import PoseStamped
+from numpy.typing import NDArray
 from sensor_msgs.msg import LaserScan, PointCloud2
 from std_msgs.msg import Header
 
-from bvh_ros.ros.config.parameters import LASER_SCAN
-from bvh_ros.ros.conversions import rotations, scans
-from bvh_ros.ros.conversions.query_clouds import Hits, answers_cloud, unanswered
+from bvh_ros.ros.config.parameters import LASER_SCAN, ScanSettings
+from bvh_ros.ros.conversions import rotations
+from bvh_ros.ros.conversions.query_clouds import (
+    FREE,
+    UNANSWERED,
+    Floats,
+    Hits,
+    answers_cloud,
+    unanswered,
+)
 from bvh_ros.ros.conversions.times import nanoseconds
 from bvh_ros.ros.parts.part import NodePart, Timings
 from bvh_ros.ros.qos import Delivery
@@ -25,10 +34,63 @@ from bvh_ros.ros.world.frames import Transform
 if TYPE_CHECKING:
     from rclpy.node import Node
 
-    from bvh_ros.ros.config.parameters import ScanSettings
     from bvh_ros.ros.world.views import View
     from bvh_ros.ros.world.world import World
     from bvh_ros.scene import NodeScene
+
+# ---- The directions of a virtual scanner, and what it measured as messages
+
+
+ROUNDING = 1e-6  # steps: angle_max is a direction too where it should be one
+
+
+class Pattern(NamedTuple):
+    """The directions of a scanner in its own frame: x forward, z up."""
+
+    angles: Floats  # (beams,) rad
+    directions: Floats  # (channels * beams, 3) unit vectors, ring by ring from below
+
+
+def pattern(settings: ScanSettings) -> Pattern:
+    """Return what the settings describe."""
+    # As a reader of a LaserScan computes them: from float32.
+    first, step = np.float64(np.float32(settings.angle_min)), np.float32(settings.angle_increment)
+    span = (settings.angle_max - settings.angle_min) / settings.angle_increment
+    angles = first + np.arange(int(span + ROUNDING) + 1) * np.float64(step)
+    rings = np.linspace(settings.elevation_min, settings.elevation_max, settings.channels)
+    rise, turn = np.meshgrid(rings, angles, indexing='ij')
+    across = np.cos(rise)
+    directions = (across * np.cos(turn), across * np.sin(turn), np.sin(rise))
+    return Pattern(angles, np.stack(directions, axis=-1).reshape(-1, 3))
+
+
+def ranges(obstacles: NDArray[np.uint32], t: Floats, range_min: float) -> Floats:
+    """Return ranges as REP 117 wants them, from hits on rays of unit length.
+
+    +Inf: nothing within range; -Inf: too near to measure; NaN: not measurable.
+    """
+    measured = np.where(obstacles == FREE, np.inf, t)
+    measured[(obstacles != FREE) & (t < range_min)] = -np.inf
+    measured[obstacles == UNANSWERED] = np.nan
+    return measured
+
+
+def laser_scan(measured: Floats, given: Pattern, settings: ScanSettings) -> LaserScan:
+    """Write ranges of one ring into a LaserScan, its header left to the caller."""
+    scan = LaserScan(
+        angle_min=float(np.float32(settings.angle_min)),
+        angle_max=float(np.float32(given.angles[-1])),
+        angle_increment=float(np.float32(settings.angle_increment)),
+        scan_time=1.0 / settings.rate if settings.rate else 0.0,
+        range_min=settings.range_min,
+        range_max=settings.range_max,
+    )
+    scan.ranges = array('f', measured.astype(np.float32).tobytes())
+    return scan
+
+
+# ---- The part of the node that scans
+
 
 DEPTH = 5
 QOS_PERIOD = 1.0  # seconds
@@ -57,7 +119,7 @@ class VirtualScan(NodePart):
         self._world = world
         self._settings = settings
         self._view = view
-        self._pattern = scans.pattern(settings)
+        self._pattern = pattern(settings)
         self._pose: PoseStamped | None = None
         kind = LaserScan if settings.type == LASER_SCAN else PointCloud2
         self._publisher = self.publisher(kind, '~/virtual_scan', DEPTH)
@@ -133,9 +195,9 @@ class VirtualScan(NodePart):
 
     def _message(self, hits: Hits, place: Transform) -> Any:
         settings, given = self._settings, self._pattern
-        measured = scans.ranges(hits.obstacles, hits.t, settings.range_min)
+        measured = ranges(hits.obstacles, hits.t, settings.range_min)
         if settings.type == LASER_SCAN:
-            return scans.laser_scan(measured, given, settings)
+            return laser_scan(measured, given, settings)
         points, normals = hits.points, hits.normals
         if settings.frame_id:
             points = hits.t[:, None] * given.directions

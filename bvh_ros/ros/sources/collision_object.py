@@ -12,7 +12,7 @@ from moveit_msgs.msg import CollisionObject
 
 from bvh_ros.ros.conversions import collision_objects as objects
 from bvh_ros.ros.conversions.collision_objects import Body, CollisionObjects
-from bvh_ros.ros.conversions.naming import numbered
+from bvh_ros.ros.conversions.placing import numbered
 from bvh_ros.ros.sources.columns import ColumnsSource
 from bvh_ros.ros.sources.source import Applying, is_costly
 from bvh_ros.scene import Part, Refusal
@@ -120,7 +120,7 @@ class BodiesSource(ColumnsSource):
             np.array([body.stamp for body in rows.values()], np.int64), list(sizes.values())
         )
         part = Part(names, objects.placed([*rows.values()]), stamps)
-        gone = changes.touched.keys() & known.keys()
+        replaced = changes.touched.keys() & known.keys()
         self._bodies = bodies
         self.is_whole = changes.whole
         if changes.whole:
@@ -130,17 +130,17 @@ class BodiesSource(ColumnsSource):
         else:
             left = {
                 f'{prefix}{name}/': range(sizes.get(name, 0), len(known[name].parts.kind))
-                for name in gone
+                for name in replaced
             }
             leaving = self.scene.find(self.name, numbered(left))
             refused = yield from self._change(part, leaving)
-        removed = len(gone - bodies.keys())
+        removed = len(replaced - bodies.keys())
         own = [each._replace(name=f'{prefix}{each.name}') for each in changes.refusals]
         return len(names) + removed + len(own), [*own, *refused]
 
 
 class CollisionObjectSource(BodiesSource):
-    """Keeps the objects that it is told of, one a message."""
+    """Keeps collision objects: one a message."""
 
     message_type = CollisionObject
     fields = objects.FIELDS

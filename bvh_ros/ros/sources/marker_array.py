@@ -13,9 +13,9 @@ from visualization_msgs.msg import MarkerArray
 from bvh_ros.ros.cdr import definitions
 from bvh_ros.ros.cdr import marker_array as decoder
 from bvh_ros.ros.compile_jobs import Job
+from bvh_ros.ros.config.parameters import ConfigurationError
 from bvh_ros.ros.conversions import markers
-from bvh_ros.ros.conversions.markers import table
-from bvh_ros.ros.conversions.naming import numbered
+from bvh_ros.ros.conversions.placing import numbered
 from bvh_ros.ros.sources.source import Applying, Source
 from bvh_ros.scene import Families, Part
 from bvh_ros.scene.names import as_families
@@ -29,23 +29,20 @@ class MarkerArraySource(Source):
     def __init__(self, *args: Any) -> None:
         super().__init__(*args)
         self._lists: dict[str, int] = {}  # list markers, and how many elements each has at most
-        other = definitions.difference(MarkerArray, decoder.DEFINITION)
-        self.raw = not other
-        self.together = self.raw and self.follow is None
-        if other:
-            self._node.get_logger().warning(
-                f"source '{self.name}': {other} is not defined here as the decoder knows it; "
-                'messages are read by rclpy, which takes several times as long'
+        if other := definitions.difference(MarkerArray, decoder.DEFINITION):
+            raise ConfigurationError(
+                f"source '{self.name}': {other} is defined here otherwise than in ROS 2 Jazzy"
             )
+        self.raw, self.together = True, self.follow is None
 
     def to_compile(self) -> Iterable[Job]:
-        """Return the decoder, where it is used."""
+        """Return the decoder."""
         decode = partial(decoder.read, decoder.EMPTY)
-        return [Job('decode markers', 'decode markers', 2.0, decode, early=True)] * self.raw
+        return [Job('decode markers', 'decode markers', 2.0, decode, early=True)]
 
     def apply(self, message: Any, now: int) -> Applying:
         """Remove what the markers remove, then add and modify."""
-        columns = decoder.read(*message) if self.raw else table(message.markers)
+        columns = decoder.read(*message)
         change = yield from markers.change(
             columns,
             now=now,

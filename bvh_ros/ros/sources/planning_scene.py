@@ -60,12 +60,12 @@ class PlanningSceneSource(BodiesSource):
     @staticmethod
     def _take_attached(columns: Columns, changes: Changes) -> None:
         """Remove what is attached to the robot. What leaves the robot comes with the world."""
-        told = set(columns.texts(f'{OBJECTS}.id'))
+        in_world = set(columns.texts(f'{OBJECTS}.id'))
         operations = columns.numbers(f'{ATTACHED}.operation')[:, 0].tolist()
         for row, name in enumerate(columns.texts(f'{ATTACHED}.id')):
             if operations[row] != objects.REMOVE:
                 changes.remove(name)
-            elif name not in told:
+            elif name not in in_world:
                 reason = 'it leaves the robot, and the scene does not say where it is then'
                 changes.refuse(row, name, reason)
 

@@ -57,7 +57,7 @@ class PointCloud2Source(Source):
 
         def parts(length: int) -> Iterator[Part]:
             nonlocal items, skipped
-            items = skipped = 0  # whoever is late begins again
+            items = skipped = 0  # a late update begins again
             for boxes in cloud.parts(length):
                 skipped += boxes.skipped
                 items += len(boxes.numbers)

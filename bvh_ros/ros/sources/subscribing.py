@@ -61,7 +61,7 @@ def is_latched(kind: Kind) -> bool:
 
 
 def unheard(topic: str, policy: str, kind: Kind) -> str:
-    """Say that a publisher offers less of a policy than is asked for, and the two ways out."""
+    """Say that a publisher offers less of a policy than requested, and the two remedies."""
     policy = policy.lower()
     if policy not in LEAST:
         return f'a publisher is not heard: its {policy} is not what is asked for'
@@ -336,7 +336,7 @@ BUSY = 0.002  # seconds between messages
 
 
 class Resting:
-    """Lets a busy topic's subscriptions wake nobody, and looks at them by a timer.
+    """Lets a busy topic's subscriptions wake no executor, and looks at them by a timer.
 
     An executor that does not know `resting`, a set of entities to leave out, goes on being woken.
 
@@ -369,7 +369,7 @@ class Resting:
                 self._timer.reset()
 
     def catch_up(self) -> None:
-        """Take what waits before somebody asks."""
+        """Take what waits, before a query."""
         if self._asleep is not None:
             self._take()
 
@@ -401,10 +401,10 @@ class FollowingSubscription:
 
     A reliable subscription never hears a best-effort publisher, nor one that asks for what was
     kept for late joiners a publisher that keeps nothing. So there is one for each kind; that for
-    best effort only while somebody offers no more.
+    best effort only while a publisher offers no more.
 
-    Whoever is woken takes and hands over all that waits, for as long as a turn may take: an
-    executor's round costs more than a small message does.
+    A callback takes and hands over all that waits, for as long as a turn may take: an executor's
+    round costs more than a small message does.
 
     Parameters
     ----------
@@ -470,7 +470,7 @@ class FollowingSubscription:
             self._create(RELIABLE)
 
     def check(self) -> None:
-        """Subscribe best effort, too, as long as somebody offers no more; warn of losses.
+        """Subscribe best effort, too, as long as a publisher offers no more; warn of losses.
 
         To be called about once a second.
         """
@@ -511,7 +511,7 @@ class FollowingSubscription:
             self._more.trigger()
 
     def catch_up(self) -> None:
-        """Take what waits before somebody asks; usually the executor's rounds have done so."""
+        """Take what waits, before a query; usually the executor's rounds have done so."""
         self._resting.catch_up()
 
     def publishers(self) -> int:

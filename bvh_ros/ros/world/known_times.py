@@ -69,8 +69,8 @@ class Past:
         return stamps, [scene for _, scene in self._states]
 
 
-# The times that a node can be asked about: as much of the past as it keeps, and then so far as it
-# may predict.
+# The times that a query may name: as much of the past as the node keeps, and then so far as it may
+# predict.
 #
 # A node that does neither has none of this: the stamps of its requests say nothing.
 
@@ -78,7 +78,7 @@ NOTHING = 'nothing has been told yet that could be predicted'
 
 
 class Span(NamedTuple):
-    """Times in ns; None is now, the world as last told."""
+    """Times in ns; None is now, the world as last reported."""
 
     at: int | None = None
     until: int | None = None  # None: the world is frozen at that time
@@ -120,14 +120,14 @@ class KnownTimes:
         if span.at < first:
             length = self.past.length
             raise ValueError(
-                f'the time asked for is {seconds(first - span.at + length)} s before the newest '
+                f'the requested time is {seconds(first - span.at + length)} s before the newest '
                 f'data, more than history ({seconds(length)} s)'
             )
         self.state(span.at, now)
         if stop > last:
             ahead = self._ahead
             raise ValueError(
-                f'the time asked for is {seconds(stop - last + ahead)} s after the newest data, '
+                f'the requested time is {seconds(stop - last + ahead)} s after the newest data, '
                 f'more than max_prediction ({seconds(ahead)} s)'
             )
         return span
@@ -143,7 +143,7 @@ class KnownTimes:
         """What was known at a time; ValueError if it is not any more."""
         states, (which,) = self.states(np.array([at]), now)
         if which < 0:
-            raise ValueError('what was known at the time asked for is not kept any more')
+            raise ValueError('what was known at the requested time is not kept any more')
         return states[which]
 
     def within(
@@ -202,5 +202,5 @@ def span_of(request: Any, *, moves: bool) -> Span:
     if moves:
         return Span(start, goal)
     if goal != start:
-        raise ValueError('start and goal have different stamps, but one time is asked for')
+        raise ValueError('start and goal have different stamps, but this query takes one time')
     return Span(start)

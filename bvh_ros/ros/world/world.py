@@ -43,7 +43,7 @@ class World:
     Attributes
     ----------
     times : KnownTimes, optional
-        The times that can be asked about; None: stamps of requests say nothing.
+        The times that queries may name; None: stamps of requests say nothing.
     compiling : str
         Says how far compiling has come, while not every question can be answered.
     """
@@ -63,18 +63,18 @@ class World:
 
     def at(self, now: int, *, thin_ray: bool = False) -> NodeScene:
         """Return the scene as it is at `now` (ns on the node's clock): what is due has expired. Of
-        very many that are due the last go a little later, so that nobody has to wait for them.
+        very many that are due the last go a little later, so that no query waits for them.
 
         Parameters
         ----------
         thin_ray : bool
-            Whether one thin ray is asked for. Among axis-aligned boxes that can be answered first.
+            Whether the query is one thin ray. Among axis-aligned boxes that can be answered first.
 
         Raises
         ------
         IncompleteWorldError
-            If a source is missing or silent for too long; an answer might look free. Or if what is
-            asked for is still being compiled.
+            If a source is missing or silent for too long; an answer might look free. Or if the
+            query is still being compiled.
         """
         self.catch_up()
         early = thin_ray and not self.scene.any_shaped
@@ -97,7 +97,7 @@ class World:
             self.changes.owner.finish()
 
     def catch_up(self) -> None:
-        """Apply what has come, before somebody asks or clears."""
+        """Apply what has come, before a query or a clear."""
         for source in self.sources:
             source.catch_up()
 

@@ -26,8 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..area import longest_edge, node_area, unit_scale
-from ..build.building import post_order
-from ..build.rebuilding import count_leaves
+from ..build.building import count_leaves, post_order
 from ..compiler import WIDTH, inlined, lean_kernel, stack_array
 from ..nodes import (
     COUNT,
@@ -310,8 +309,8 @@ def patched(snapshot: Snapshot, view: View) -> Snapshot | None:
 
     Each of them is put into a node behind the others, which every ray visits. What the other nodes
     say of them is left there: a leaf is looked at as it is now. Threads that do this at once write
-    the same into the same memory; whoever reads there asks for a version of the tree, and so for
-    what was written for that.
+    the same into the same memory. A reader names a version of the tree, and so reads what was
+    written for that version.
     """
     if view.tree.state.item(WRITTEN) - snapshot.written > RECENT_PLACES:
         return None

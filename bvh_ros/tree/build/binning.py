@@ -45,7 +45,7 @@ HI = 4  # place of hi x
 COUNT = 7  # place of a zero; in a bin, of how many boxes it holds
 
 SMALL_RANGE = np.float32(2.0**-10)  # of the unit: below, float32 would see too little of the range
-COINCIDENT = np.float32(2.0**-20)  # of the range: centres this close cannot be told apart
+COINCIDENT = np.float32(2.0**-20)  # of the range: centres this close count as one
 
 _ALL_BINS = AXES * BINS
 ALL_BINS = 2 * _ALL_BINS  # of both sides

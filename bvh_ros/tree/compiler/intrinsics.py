@@ -57,7 +57,7 @@ def index(value: int) -> Any:
 
 
 def on_stack(builder: Any, kind: Any) -> Any:
-    """Room that is made once a call, wherever it is asked for."""
+    """Room on the stack, made once a call."""
     with builder.goto_entry_block():
         return builder.alloca(kind)
 
@@ -123,6 +123,16 @@ def record_at(context: Any, builder: Any, kind: Any, array: Any, place: Any) -> 
     """Pointer to the bytes of array[place], checked as `elements_at` does."""
     here = elements_at(context, builder, kind, array, place, index(1))
     return builder.bitcast(here, _BYTE.as_pointer())
+
+
+def first_numbers(context: Any, builder: Any, kind: Any, array: Any, ndim: int, width: int) -> Any:
+    """The first doubles of an array, and zeros, as a vector."""
+    first = elements_at(context, builder, kind, array, index(0), index(ndim))
+    numbers = ir.Constant(ir.VectorType(ir.DoubleType(), width), [0.0] * width)
+    for axis in range(ndim):
+        number = builder.load(builder.gep(first, [index(axis)]))
+        numbers = builder.insert_element(numbers, number, ir.Constant(_INT, axis))
+    return numbers
 
 
 def _bytes_at(context: Any, builder: Any, kind: Any, array: Any, place: Any) -> Any:

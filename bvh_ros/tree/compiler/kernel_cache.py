@@ -21,7 +21,7 @@ import numba
 from numba import config
 
 from . import kernel_sources, shipped
-from .private_folder import UnsafeError, open_private, write_whole
+from .shipped import UnsafeError, open_private, write_whole
 
 parts: Callable[[], Any] = type(None)
 """`inside.parts`, which `compiling` hands in: that module imports those that import this one."""

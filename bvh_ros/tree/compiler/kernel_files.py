@@ -17,6 +17,8 @@ import functools
 import hashlib
 import os
 import pickle
+import sys
+import time
 from pathlib import Path
 from typing import Any
 
@@ -28,9 +30,72 @@ from numba.core.runtime import rtsys
 from numba.core.serialize import dumps
 
 from . import kernel_sources, shipped
-from .entry_lock import EntryLock
 from .kernel_cache import PART, cache_folder, settings, warn
-from .private_folder import is_ours_alone, write_whole
+from .shipped import is_ours_alone, write_whole
+
+# ---- Of processes that want the same machine code, one compiles, and the others wait for it
+
+
+if sys.platform != 'win32':
+    import fcntl
+
+LOCK = 'lock'
+POLL = 0.02  # seconds between two looks
+PATIENCE = 120.0  # seconds; a process that holds a lock for longer has been stopped
+
+
+@functools.cache
+def _open(folder: Path, _process: int) -> int:
+    """The folder's lock file, open once in each process: closing it gives up all locks."""
+    return os.open(folder / LOCK, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
+
+
+class EntryLock:
+    """A byte of the folder's lock file. It is free as soon as its holder ends, however that ends.
+
+    A process that holds one waits for another only where that is of something called by what it
+    compiles: no two wait for each other.
+    """
+
+    def __init__(self) -> None:
+        self._locked: tuple[int, int] | None = None
+
+    def acquire(self, folder: Path, what: str) -> bool:
+        """Wait until no other process compiles this; return whether one did.
+
+        Where files cannot be locked, each process compiles.
+        """
+        if sys.platform == 'win32':
+            return False
+        self.release()
+        place = int.from_bytes(hashlib.sha256(what.encode()).digest()[:7], 'big')
+        began = time.monotonic()
+        waited = False
+        try:
+            file = _open(folder, os.getpid())
+            while True:
+                try:
+                    fcntl.lockf(file, fcntl.LOCK_EX | fcntl.LOCK_NB, 1, place)
+                    self._locked = file, place
+                    return waited
+                except BlockingIOError:
+                    waited = True
+                if time.monotonic() - began > PATIENCE:
+                    return True
+                time.sleep(POLL)
+        except OSError:
+            return waited
+
+    def release(self) -> None:
+        """Let the others go on."""
+        if self._locked is not None:
+            file, place = self._locked
+            self._locked = None
+            fcntl.lockf(file, fcntl.LOCK_UN, 1, place)
+
+
+# ---- Files of machine code, one a kernel and signature
+
 
 SEAL = hashlib.sha256().digest_size
 
@@ -140,7 +205,7 @@ class PartCode(JITCodeLibrary):
         return code
 
     def _optimize_final_module(self) -> None:
-        """Simplify, so that whoever calls it sees how little there is to inline.
+        """Simplify, so that a caller's inliner sees how small it is.
 
         Left as it is, code is inlined otherwise than numba would (a swept ball took a quarter
         longer), and is more work for every caller.
@@ -180,7 +245,7 @@ class SealedFiles:
 
     @functools.cached_property
     def _stamp(self) -> str:
-        """Of the sources; most kernels are only called by others, and never asked for it."""
+        """Of the sources; most kernels are only called by others, and never need it."""
         return self._locator.depends_on()
 
     def load(self, key: Any) -> Any:
@@ -273,7 +338,7 @@ class KernelCache(caching.FunctionCache):
         return found
 
     def is_kept(self, sig: Any, target_context: Any) -> bool:
-        """Whether this need not be compiled, as far as can be told without loading it."""
+        """Whether this need not be compiled, as far as is known without loading it."""
         return self._cache_file.is_there(self._index_key(sig, target_context.codegen()))
 
     def release(self) -> None:

@@ -174,7 +174,7 @@ def _spawn() -> subprocess.Popen[bytes]:
 
 
 def _cpu_seconds(process: Process) -> float:
-    """Processor time of a child that has not been waited for; any time where nobody tells."""
+    """Processor time of a child that has not been waited for; 0 or more where it is unknown."""
     try:
         return time.clock_gettime(~process.pid << 3 | 2)  # the clock of clock_getcpuclockid(3)
     except (AttributeError, OSError):
@@ -189,7 +189,7 @@ def processors() -> int:
 
 
 class Workers:
-    """Processes that run calls, so that what these compile is in the cache for everybody.
+    """Processes that run calls, so that what these compile is in the cache for all processes.
 
     They end when they have nothing more to do, and as soon as this process ends, however it does.
 
@@ -276,7 +276,7 @@ class Workers:
         self._end(process)
 
     def _left_over(self) -> Iterator[tuple[int, Callable[[], object]]]:
-        """What nobody will begin any more."""
+        """Calls that no process will begin any more."""
         while self._todo and not self._busy:
             yield self._todo.popleft()
 

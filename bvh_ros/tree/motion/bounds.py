@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from ..area import half_area, node_area
 from ..compiler import CACHE_LINE, inlined, lean_kernel, prefetch, stack_array
-from ..nodes import ASKS, DEEPEST, NONE, ROOT, is_leaf, next_node
+from ..nodes import DEEPEST, NONE, QUERIES_LEFT, ROOT, is_leaf, next_node
 from ..query.slab import PAD, TINY
 from ..simd.moving_sides import HALF, enter_sides
 from ..store.turns import NOT_FINITE, REFUSED, begin_query, end_query
@@ -37,7 +37,7 @@ LEAST = 1e-280
 LONGEST = 1e40
 OUTSIDE = -4  # why a query did nothing: bounds are to be fitted, or looked at, first
 ROWS = 8  # of a batch take as long as one question
-# Sentinels of state[ASKS]: counter off; bounds just checked (then LOOKED less what is left).
+# Sentinels of state[QUERIES_LEFT]: counter off; bounds just checked (then LOOKED less the rest).
 EVER_SO_MANY, LOOKED = -1, -2
 AT_REST, AT_START, AT_STOP = range(3)  # sums of half areas of inner nodes
 
@@ -225,12 +225,12 @@ def begin_asking(tree, moving, count):
     """`begin_query` of so many queries at one time: 0; REFUSED; or OUTSIDE after so many that the
     bounds are to be checked first. Queries over a span of time count 0.
     """
-    left = tree.state[ASKS]
+    left = tree.state[QUERIES_LEFT]
     if count > 0 and left != EVER_SO_MANY:
         count = (count + ROWS - 1) // ROWS
         looked = left < EVER_SO_MANY
         left = LOOKED - left if looked else left
-        tree.state[ASKS] = max(left - count, 0)
+        tree.state[QUERIES_LEFT] = max(left - count, 0)
         if left <= count and not looked:
             return np.int64(OUTSIDE)
     return np.int64(0 if begin_query(tree.state, moving.version) else REFUSED)
@@ -243,7 +243,7 @@ def moments_of(pace, count):
 
 
 @inlined
-def may_ask(tree, moving, at, count):
+def begin_rows(tree, moving, at, count):
     """`begin_asking` of so many rows, at times of their own or one for all, and `end_query`;
     OUTSIDE, too, where bounds could be fitted to a time and do not hold, NOT_FINITE where one is
     not.

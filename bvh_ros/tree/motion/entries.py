@@ -32,8 +32,7 @@ from ..query.ray import (
 from ..query.slab import DIRECTION, EXACT, INSIDE, ORIGIN, RAY_ROWS, UPPER, set_swept_box
 from ..results import RayHits
 from ..simd.moving_sides import FRONTS
-from ..store.turns import NOT_FINITE, accepted, count_rays, end_query
-from ..store.workers import in_threads
+from ..store.turns import NOT_FINITE, accepted, count_rays, end_query, in_threads
 from .bounds import OUTSIDE, begin_asking, covers, enter_node, moments_of, no_motion, set_fronts
 from .exact_contact import box_of, course_of, elapsed, is_before, meet_box, phase_at_hit
 from .state import Motion, both_times, span_of, times_of

@@ -28,7 +28,7 @@ from ..query.exact import (
     two_sum,
 )
 from ..query.slab import CLEAR, DIRECTION, EXACT, INSIDE, ORIGIN, PAD, TINY, UPPER
-from ..simd.moving_leaf import moving_slabs
+from ..simd.moving_sides import moving_slabs
 
 PRODUCT_LIMBS = 2 * LIMBS + 1
 LIMB = 2.0**LIMB_BITS

@@ -14,7 +14,15 @@ from ..query.ray import of_row
 from ..query.slab import RAY_ROWS, set_swept_box
 from ..simd.moving_sides import FRONTS, is_behind, is_beside
 from ..store.turns import NOT_FINITE, end_query
-from .bounds import OUTSIDE, begin_asking, covers, fetch_children, may_ask, no_motion, set_fronts
+from .bounds import (
+    OUTSIDE,
+    begin_asking,
+    begin_rows,
+    covers,
+    fetch_children,
+    no_motion,
+    set_fronts,
+)
 from .entries import enter_bounds, is_sound, path_at
 from .exact_contact import box_of, course_of, elapsed, meet, moment_of, surely_below
 
@@ -147,7 +155,7 @@ def overlap_rows(tree, moving, at, queries, start, stop, found, offsets):
     finite.
     """
     if start == FIRST:
-        why = may_ask(tree, moving, at, queries.lo.shape[0])
+        why = begin_rows(tree, moving, at, queries.lo.shape[0])
         if why != 0:
             return why, np.int64(0), np.int64(0)
     when = moving, at

@@ -14,10 +14,10 @@ from .. import checks
 from ..batch.snapshot import Snapshot, take_snapshot
 from ..compiler import CACHE_LINE, WIDTH, entry_point, lean_kernel
 from ..nodes import (
-    ASKS,
     CHANGES,
     COUNT,
     NONE,
+    QUERIES_LEFT,
     RAYS,
     ROOT,
     SLOT_MASK,
@@ -205,10 +205,10 @@ LAYOUT_RAYS_PER_BOX = 2.0  # rays that grow as much for which sweeping another s
 # The span of a sweep may be so many times as long as that of a large batch.
 LONGER = 1.5
 # Where nodes are PARTED times as large as at rest, their boxes have parted. Then nodes are rebuilt
-# over boxes that lie close together at the time of the query. That takes as long as ASKS_PER_BOX
-# queries a box lose by it; of batches, ROWS take as long as one query, see `bounds`. Rebuilt nodes
-# hold until they have grown by SOON.
-PARTED, ASKS_PER_BOX, LEAST_ASKS, SOON = 1.15, 0.135, 256, 0.5
+# over boxes that lie close together at the time of the query. That takes as long as
+# QUERIES_PER_BOX queries a box lose by it; of batches, ROWS take as long as one query, see
+# `bounds`. Rebuilt nodes hold until they have grown by SOON.
+PARTED, QUERIES_PER_BOX, LEAST_QUERIES, SOON = 1.15, 0.135, 256, 0.5
 LEAST_SPAN = 2.0**-40  # of a time
 fit_entry = entry_points(fit_nodes, no_motion, layout_of_tree, np.empty(0, np.int64), np.empty(3))
 
@@ -234,11 +234,11 @@ class SweepCache(NamedTuple):
     """Nodes are rebuilt for this time when `state[RAYS]` of the tree reaches this."""
 
 
-def asks_for(boxes: int, grown: float) -> int:
+def queries_before_check(boxes: int, grown: float) -> int:
     """How many queries use bounds before `Motion` looks at them again."""
     if not grown > PARTED:
         return EVER_SO_MANY
-    return max(LEAST_ASKS, int(ASKS_PER_BOX * boxes / (grown - 1.0)))
+    return max(LEAST_QUERIES, int(QUERIES_PER_BOX * boxes / (grown - 1.0)))
 
 
 class Motion:
@@ -268,7 +268,7 @@ class Motion:
         self.bounds = self.moving
         # How many times as large as at rest the nodes of the tree are at the start of `moving`,
         # and by how much more each second.
-        self._parted, self._asks = (0.0, 0.0), EVER_SO_MANY
+        self._parted, self._queries_left = (0.0, 0.0), EVER_SO_MANY
 
     def write(self, tree: Any, version: int, handles: Ids, rows: Floats, times: Floats) -> int:
         """Call `write_velocities`, with room for all slots."""
@@ -361,8 +361,10 @@ class Motion:
             with np.errstate(all='ignore'):
                 start, stop = areas[AT_START] / areas[AT_REST], areas[AT_STOP] / areas[AT_REST]
                 self._parted = start.item(), ((stop - start) / (last - first)).item()
-            self._asks = asks_for(arrays.state.item(COUNT), max(start.item(), stop.item()))
-            arrays.state[ASKS] = self._asks
+            self._queries_left = queries_before_check(
+                arrays.state.item(COUNT), max(start.item(), stop.item())
+            )
+            arrays.state[QUERIES_LEFT] = self._queries_left
         return moving
 
     def _bounds_for(self, view: View, first: float, last: float) -> Moving:
@@ -378,7 +380,7 @@ class Motion:
             soon = min(HORIZON, SOON / per_second) if per_second > 0.0 else HORIZON
             stop = max(last, first + max(soon, LEAST_SPAN * abs(first)))
             self.bounds = moving = self._fit(view, layout, first, stop)
-        view.tree.state[ASKS] = LOOKED - self._asks
+        view.tree.state[QUERIES_LEFT] = LOOKED - self._queries_left
         return moving
 
     def holds(self, version: int, first: float, last: float) -> bool:

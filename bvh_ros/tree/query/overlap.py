@@ -15,8 +15,15 @@ from numpy.typing import NDArray
 from ..checks import INT64
 from ..compiler import inlined, lean_kernel, stack_array
 from ..nodes import DEEPEST, NONE, ROOT, entry_points, is_leaf, leaf_box, next_node
-from ..store.turns import ANY_VERSION, NOT_FINITE, REFUSED, accepted, begin_query, end_query
-from ..store.workers import in_threads
+from ..store.turns import (
+    ANY_VERSION,
+    NOT_FINITE,
+    REFUSED,
+    accepted,
+    begin_query,
+    end_query,
+    in_threads,
+)
 from .ray import of_row
 from .slab import RAY_ROWS, intersect_node, prepare_ray, set_swept_box, traversal_distance
 

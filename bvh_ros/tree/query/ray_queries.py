@@ -15,8 +15,7 @@ from ..checks import INT64
 from ..nodes import ALL, COUNT, NONE, Tree, View
 from ..results import RayHit, RayHits
 from ..store.arrays import Floats, Ids
-from ..store.turns import ANY_VERSION, IS_CHANGED, NOT_FINITE, REFUSED, accepted
-from ..store.workers import in_threads
+from ..store.turns import ANY_VERSION, IS_CHANGED, NOT_FINITE, REFUSED, accepted, in_threads
 from ..timed import NOW, Timed
 from .ray import (
     ANY,
@@ -178,8 +177,8 @@ class RayAsking(Timed):
         return storage.latest, snapshot
 
     def _first_hits(self, rays_given: tuple[Any, ...], threads: int) -> RayHits:
-        """`raycast_many` of good input, what a `Rays` holds, of boxes at rest; rays are counted
-        where they are asked for by one thread.
+        """`raycast_many` of good input, what a `Rays` holds, of boxes at rest. Rays are counted
+        only by one thread.
         """
         origins, _, t_max, _, _, mode, _ = rays_given
         count, ndim = len(origins), self._ndim

@@ -8,7 +8,7 @@ from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic
 
-from ..compiler.intrinsics import elements_at, index, operation, pick, splat
+from ..compiler.intrinsics import elements_at, first_numbers, index, operation, pick, splat
 
 FOUR = 4
 
@@ -23,26 +23,16 @@ def _each(builder: Any, name: str, *operands: Any) -> Any:
     return builder.call(function, operands)
 
 
-def _row(context: Any, builder: Any, kind: Any, array: Any, ndim: int) -> Any:
-    """The first numbers of an array, and zeros."""
-    first = elements_at(context, builder, kind, array, index(0), index(ndim))
-    numbers = ir.Constant(_VECTOR, [0.0] * FOUR)
-    for axis in range(ndim):
-        number = builder.load(builder.gep(first, [index(axis)]))
-        numbers = builder.insert_element(numbers, number, ir.Constant(_INT, axis))
-    return numbers
-
-
 def _moved_row(context: Any, builder: Any, kind: Any, given: Any, ndim: int) -> Any:
     """The numbers of an array, or of (an array, another, so many times which it loses)."""
     if isinstance(kind, types.Array):
-        return _row(context, builder, kind, given, ndim)
+        return first_numbers(context, builder, kind, given, ndim, FOUR)
     start, direction, times = (builder.extract_value(given, place) for place in range(3))
-    direction = _row(context, builder, kind[1], direction, ndim)
+    direction = first_numbers(context, builder, kind[1], direction, ndim, FOUR)
     # -0.0 becomes 0.0, or a -0.0 that loses nothing would lose its sign.
     zero = ir.Constant(_VECTOR, [0.0] * FOUR)
     lost = builder.fadd(builder.fmul(direction, splat(builder, times, FOUR)), zero)
-    return builder.fsub(_row(context, builder, kind[0], start, ndim), lost)
+    return builder.fsub(first_numbers(context, builder, kind[0], start, ndim, FOUR), lost)
 
 
 def _any(builder: Any, truths: Any) -> Any:
@@ -138,7 +128,9 @@ def look_ahead(typingctx, ray, origin, direction, whole):
             place = elements_at(context, builder, kind, args[3], index(first), index(FOUR))
             return builder.load(builder.bitcast(place, _VECTOR.as_pointer()), align=8)
 
-        start, along = (_row(context, builder, signature.args[k], args[k], ndim) for k in (1, 2))
+        start, along = (
+            first_numbers(context, builder, signature.args[k], args[k], ndim, FOUR) for k in (1, 2)
+        )
         zero = ir.Constant(_VECTOR, [0.0] * FOUR)
         above = builder.and_(
             builder.fcmp_ordered('>', start, side(FOUR)), builder.fcmp_ordered('>=', along, zero)

@@ -27,7 +27,7 @@ from .storage import READ_ONLY, allocate, storage_of
 VERSION, WITH_MOTION = 1, 2  # the second holds velocities, too
 VERSIONS = VERSION, WITH_MOTION
 MOTION = ('moving', 'velocities', 'references')
-LEFT = 'left'  # is told beside them, where times are whole nanoseconds
+LEFT = 'left'  # is stored beside them, where times are whole nanoseconds
 ARRAYS = ('nodes', 'heights', 'tight', 'handles', 'state')
 COPIED = {*ARRAYS, *MOTION}  # by `pack`
 # A letter of numpy's for each kind of number or text that a value may be.

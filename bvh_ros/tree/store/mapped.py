@@ -36,7 +36,7 @@ from ..validation import COMPLAINTS, SOUND, array_forms, check_structure
 @contextmanager
 def put_in_place(path: Path) -> Iterator[BinaryIO]:
     """A file to write to, that takes the place of `path` at the end, and leaves nothing behind if
-    there is none: whoever reads meanwhile, or has mapped the older one, keeps that.
+    there is none. A process that reads meanwhile, or has mapped the older one, keeps that.
     """
     path = Path(os.path.realpath(path))  # a link stays one
     if path.exists() and not path.is_file():  # a pipe is written to; a folder says what it is
@@ -78,7 +78,7 @@ def is_mapped(path: Path) -> bool:
 
 
 def save(path: Path, packed: dict[str, Any]) -> None:
-    """Write `files.pack` of a tree. Whoever has mapped an older file of this name keeps it."""
+    """Write `files.pack` of a tree. A process that has mapped the older file keeps it."""
     header = {name: packed[name] for name in ('ndim', 'margin', 'sibling_search', 'serial')}
     header |= {
         'version': VERSION,

@@ -3,8 +3,8 @@
 """The arrays of a tree, which are replaced only all at once.
 
 Where there is no more room, larger arrays are made and named as heir of the old ones. One kernel
-fills them, and forbids to change the old ones for ever; then they are the tree's. Whoever is
-interrupted in between leaves the rest to the next call, which sees the heir.
+fills them, and forbids to change the old ones for ever; then they are the tree's. A call that is
+interrupted in between leaves the rest to the next call, which finds the heir.
 """
 
 import functools
@@ -101,7 +101,7 @@ def allocate(ndim: int, capacity: int, fat: bool) -> Storage:
 
 def new_storage(ndim: int, capacity: int, fat: bool) -> Storage:
     """Storage of an empty tree, as `clear` leaves it: numpy does that without a kernel to compile,
-    and nobody else knows these arrays yet.
+    and no other object has these arrays yet.
     """
     storage = allocate(ndim, capacity, fat)
     nodes, heights, _, handles, state = storage.tree

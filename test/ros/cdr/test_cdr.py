@@ -19,11 +19,11 @@ from hypothesis import strategies as st
 from nav_msgs.msg import Path
 from rclpy.serialization import deserialize_message, serialize_message
 from ros.cdr.cdr_reference import encode, offsets
+from ros.conversions.marker_tables import table
 from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray, UVCoordinate
 
 from bvh_ros.ros.cdr import definitions, marker_array, path, reading
-from bvh_ros.ros.conversions.markers import table
 from bvh_ros.ros.conversions.times import nanoseconds
 
 LONG = os.environ.get('BVH_ROS_LONG_TESTS') == '1'

@@ -10,9 +10,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from ros.conversions.generators import ended
+from ros.conversions.marker_tables import table
 
 from bvh_ros.ros.conversions import markers
-from bvh_ros.ros.conversions.markers import table
 from bvh_ros.ros.world.frames import FrameError, Transform
 from bvh_ros.scene import NodeScene, ShapeKind
 
@@ -328,6 +328,31 @@ def random_marker(random):
     )
 
 
+def serialised(array):
+    """The bytes of a MarkerArray of these markers."""
+    from geometry_msgs.msg import Point
+    from rclpy.serialization import serialize_message
+    from visualization_msgs.msg import Marker, MarkerArray
+
+    message = MarkerArray()
+    for each in array:
+        made = Marker(ns=each.ns, id=each.id, type=each.type, action=each.action)
+        made.header.frame_id = each.header.frame_id
+        copy(each.pose.position, made.pose.position)
+        copy(each.pose.orientation, made.pose.orientation)
+        copy(each.scale, made.scale)
+        made.points = [copy(point, Point()) for point in each.points]
+        message.markers.append(made)
+    return serialize_message(message)
+
+
+def copy(vector, message):
+    """Write the coordinates of a vector into a message."""
+    for axis, number in vars(vector).items():
+        setattr(message, axis, float(number))
+    return message
+
+
 @pytest.fixture
 def source_of():
     """A source of markers without a node."""
@@ -340,9 +365,7 @@ def source_of():
         settings = SourceSettings(
             *('test', 'MarkerArray', 'test', '', False, 0.0), {'meshes': 'convex'}
         )
-        source = MarkerArraySource(node, settings, scene, SimpleNamespace(into_node=into_map))
-        source.raw = False
-        return source
+        return MarkerArraySource(node, settings, scene, SimpleNamespace(into_node=into_map))
 
     return make
 
@@ -354,7 +377,7 @@ def test_any_message_ends_as_if_it_were_read_marker_by_marker(source_of):
         source = source_of(scene)
         for _ in range(6):
             array = [random_marker(random) for _ in range(random.randrange(12))]
-            ended(source.apply(SimpleNamespace(markers=array), NOW))
+            ended(source.apply([serialised(array)], NOW))
             for one in array:
                 told.tell(one)
             found = {name: scene.get(name).position[0] for _, name in scene.names()}

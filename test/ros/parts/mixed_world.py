@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
+from turns import unit_quaternions
 
 from bvh_ros.scene import NodeScene, ShapeKind, Shapes
-from bvh_ros.scene.shapes.shape import unit_quaternions
 
 COUNT = 80
 _RNG = np.random.default_rng(17)

@@ -17,9 +17,9 @@ if not hasattr(srv, 'Raycast'):
     pytest.skip('bvh_msgs is not built: pip install ./bvh_msgs', allow_module_level=True)
 
 from ros.parts.mixed_world import FACING, PARAMETERS, PLACE, fill, same_scene  # noqa: E402
+from turns import unit_quaternions  # noqa: E402
 
 from bvh_ros.scene import NO_NODE, Shapes  # noqa: E402
-from bvh_ros.scene.shapes.shape import unit_quaternions  # noqa: E402
 
 pytestmark = pytest.mark.slow
 

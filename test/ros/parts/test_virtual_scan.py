@@ -16,8 +16,8 @@ from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import LaserScan, PointCloud2
 
 from bvh_ros.ros.config.parameters import SCAN_OPTIONS, ConfigurationError, scan_settings
-from bvh_ros.ros.conversions import scans
 from bvh_ros.ros.conversions.query_clouds import FREE, UNANSWERED
+from bvh_ros.ros.parts import virtual_scan
 
 BOXES, TIMEOUT = 60, 60.0
 RNG = np.random.default_rng(3)
@@ -145,7 +145,7 @@ def test_a_cloud_of_rings_sees_what_its_view_shows(start_node, messages):
     ],
 )
 def test_ranges_as_rep_117_wants_them(obstacle, t, expected):
-    measured = scans.ranges(np.array([obstacle], np.uint32), np.array([t]), 0.5)
+    measured = virtual_scan.ranges(np.array([obstacle], np.uint32), np.array([t]), 0.5)
     assert np.array_equal(measured, [expected], equal_nan=True)
 
 
@@ -154,7 +154,7 @@ def test_ranges_as_rep_117_wants_them(obstacle, t, expected):
     [(-math.pi, math.pi, math.pi / 180, 361), (0, 1, 0.1, 11), (0, 0, 1, 1), (0, 1, 0.3, 4)],
 )
 def test_the_directions_of_a_ring(first, last, step, count):
-    pattern = scans.pattern(settings(angle_min=first, angle_max=last, angle_increment=step))
+    pattern = virtual_scan.pattern(settings(angle_min=first, angle_max=last, angle_increment=step))
     assert len(pattern.angles) == count
     assert np.allclose(pattern.angles, first + step * np.arange(count), atol=1e-5)
     assert np.allclose(np.linalg.norm(pattern.directions, axis=1), 1.0, rtol=1e-15)

@@ -17,12 +17,12 @@ from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Path
 from ros.parts.mixed_world import FACING, PARAMETERS, PLACE, SHAPES, fill, same_scene
 from sensor_msgs.msg import PointCloud2
+from turns import unit_quaternions
 
 from bvh_ros.client import FREE, UNANSWERED, BvhClient, BvhError
 from bvh_ros.ros.config.parameters import SHARED
 from bvh_ros.ros.conversions import query_clouds
 from bvh_ros.scene import NO_NODE, NodeScene, Shapes
-from bvh_ros.scene.shapes.shape import unit_quaternions
 
 pytestmark = pytest.mark.slow
 

@@ -14,6 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
+from scene.inside import boxes_of
 from tree.adversary import coordinates, nudge
 from tree.reference import effort
 
@@ -109,8 +110,7 @@ def adversarial_scene(rng, planar, scale, count=8):
     scene = Scene(planar=planar, margin=rng.choice([0.0, 0.1 * scale]))
     names = [str(row) for row in range(count)]
     assert scene.update('test', names, Shapes.boxes(position, size), stamp=1) == []
-    lo, hi = scene._store.tree.boxes(scene._store.tree.ids())
-    return scene, list(zip(lo.tolist(), hi.tolist(), strict=True))
+    return scene, boxes_of(scene)
 
 
 def adversarial_sweep(rng, boxes, scale):
@@ -207,7 +207,7 @@ def test_one_box(lo, hi, start, way, radius, touches):
     scene = Scene()
     low, high = np.array(lo, float), np.array(hi, float)
     scene.update('test', ['0'], Shapes.boxes([(low + high) / 2], [high - low]), stamp=1)
-    box = tuple(side[0].tolist() for side in scene._store.tree.boxes(scene._store.tree.ids()))
+    (box,) = boxes_of(scene)
     hits, sweep = ask(scene, Sweep(list(start), list(way), radius))
     exact = touched_by(*box, sweep, moments(*box, sweep), Fraction(1))
     assert bool(hits) == exact
@@ -238,12 +238,10 @@ def test_faces_in_one_plane_go_to_the_older():
         scene = Scene()
         names = [str(row) for row in range(4)]
         scene.update('cars', names, Shapes.boxes(middles, [4.5, 1.8, 1.5]), stamp=1)
-        boxes = scene._store.tree.boxes(scene._store.columns.tree_handle[:4])
-        lo, hi = (side.tolist() for side in boxes)
         start = np.array([2e4 + rng.uniform(-3, 3), lane - 2.5, 0.75])
         goal = np.add(start, (rng.uniform(-2, 2), rng.uniform(1, 3), 0.0))
         sweep = Sweep(start.tolist(), (goal - start).tolist(), 0.5)
-        rows = expected_rows(list(zip(lo, hi, strict=True)), sweep, False)
+        rows = expected_rows(boxes_of(scene), sweep, False)
         hits = scene.raycast_all(start, goal, 0.5)
         assert [int(hit.name) for hit in hits] == rows
         tied += len(hits) > 1 and hits[0].t == hits[1].t
@@ -257,8 +255,7 @@ def test_however_far_or_small():
     rng, count = np.random.default_rng(5), 70
     scene, shapes = Scene(), Shapes.boxes(rng.uniform(0, 20, (count, 3)), [1.5, 1.0, 0.5])
     scene.update('test', [str(row) for row in range(count)], shapes, stamp=1)
-    lo, hi = (side.tolist() for side in scene._store.tree.boxes(scene._store.tree.ids()))
-    boxes, met = list(zip(lo, hi, strict=True)), 0
+    boxes, met = boxes_of(scene), 0
     for far, radius in ((1.0, 1e-300), (1.0, 1e-13), (1e20, 0.2), (1e141, 0.2), (1e17, 0.2)):
         way = rng.normal(size=3) * 10
         target = shapes.position[rng.integers(count)]

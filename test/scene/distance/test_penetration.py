@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from scene.distance.contacts import rotation
 from scene.reference import bulging, geometry_arrays, hull_of, random_shapes, scene_of
+from turns import unit_quaternions
 
 from bvh_ros.scene import Mesh, Scene, Shapes
-from bvh_ros.scene.shapes.shape import unit_quaternions
 
 BOX, SPHERE, CYLINDER, CAPSULE = range(4)
 ASIDE = [0, 0, math.sin(math.pi / 8), math.cos(math.pi / 8)]

@@ -21,9 +21,9 @@ from scene.distance.contacts import (
     scene_of,
     touches_within,
 )
+from turns import unit_quaternions
 
 from bvh_ros.scene import Scene, Shapes
-from bvh_ros.scene.shapes.shape import unit_quaternions
 
 ROUND_FEATURES = [(CYLINDER, feature) for feature in FEATURES[CYLINDER]]
 OTHERS = [

@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 import pytest
+from scene.inside import store_of
 from scene.reference import box_of_triangles, bulging, scene_of
 
 from bvh_ros.scene import Mesh, Scene, ShapeKind, Shapes, mesh_of
@@ -78,7 +79,7 @@ def test_an_inside_counts():
 def test_a_mesh_is_kept_once_and_forgotten_with_its_last_obstacle():
     mesh, other = CUBE, CUBE * 2
     scene = scene_of(Shapes.of_meshes([Mesh(mesh), Mesh(mesh), Mesh(other)], np.eye(3) * 9))
-    store = scene._store.columns.meshes
+    store = store_of(scene).columns.meshes
     assert len(store) == 2
     first = store.hulls
     moved = Shapes.of_meshes([Mesh(mesh)], [(5, 5, 5)])
@@ -89,6 +90,6 @@ def test_a_mesh_is_kept_once_and_forgotten_with_its_last_obstacle():
     assert len(store) == 1
     assert scene.update('test', ['0', '1'], Shapes.boxes(np.eye(3)[:2], (1, 1, 1)), stamp=3) == []
     assert len(store) == 0
-    assert scene._store.columns.hulls is None
+    assert store_of(scene).columns.hulls is None
     assert scene.get('0').kind == ShapeKind.BOX
     assert math.isclose(scene.raycast((1, 0, -5), (1, 0, 5)).t, 0.45)

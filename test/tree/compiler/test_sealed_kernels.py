@@ -18,7 +18,7 @@ from numba.core import config
 from tree.compiler.alone import run_alone
 
 from bvh_ros.tree import checks
-from bvh_ros.tree.compiler import compiling, kernel_cache, kernel_files, private_folder
+from bvh_ros.tree.compiler import compiling, kernel_cache, kernel_files, shipped
 
 ROWS = np.array([[0.0, 1.0], [2.0, np.nan]])
 
@@ -114,7 +114,7 @@ def test_a_damaged_file_is_compiled_again(cache):
 def test_what_was_not_written_to_its_end_is_removed(cache):
     misses()
     (file,) = kept_files(cache)
-    abandoned, begun = (file.with_name(name + private_folder.DRAFT) for name in 'ab')
+    abandoned, begun = (file.with_name(name + shipped.DRAFT) for name in 'ab')
     for draft in abandoned, begun:
         draft.touch()
     os.utime(abandoned, (0.0, 0.0))
@@ -209,11 +209,11 @@ def test_a_disk_without_room_for_a_name(cache, monkeypatch):
     def full(*_args, **_options):
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
-    monkeypatch.setattr(private_folder.tempfile, 'mkstemp', full)
+    monkeypatch.setattr(shipped.tempfile, 'mkstemp', full)
     with pytest.warns(RuntimeWarning, match='No space left') as said:
         assert (misses(), misses()) == (1, 1)
     assert len(said) == 1
-    monkeypatch.setattr(private_folder.tempfile, 'TemporaryFile', full)
+    monkeypatch.setattr(shipped.tempfile, 'TemporaryFile', full)
     monkeypatch.setattr(kernel_cache.tempfile, 'gettempdir', full)
     monkeypatch.delenv('NUMBA_CACHE_DIR')
     monkeypatch.setenv('XDG_CACHE_HOME', str(cache))

@@ -15,7 +15,7 @@ from pathlib import Path
 import pytest
 
 from bvh_ros.tree.compiler import workers
-from bvh_ros.tree.compiler.entry_lock import EntryLock
+from bvh_ros.tree.compiler.kernel_files import EntryLock
 from bvh_ros.tree.compiler.workers import MOST, Workers, fork_ahead, processors, run_beside
 
 PATIENCE = 60.0  # seconds

@@ -1,0 +1,44 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""Markers as the columns that the decoder reads from their bytes, by their Python objects."""
+
+import numpy as np
+
+from bvh_ros.ros.conversions.markers import MarkerTable
+from bvh_ros.ros.conversions.times import nanoseconds
+
+
+def table(markers):
+    """Return the columns of visualization_msgs/Marker objects."""
+    namespaces = {}
+    frame_ids = {}
+    numbers = np.empty((7, len(markers)), np.int64)
+    places = np.empty((len(markers), 10))
+    for row, marker in enumerate(markers):
+        at, turned, scale = marker.pose.position, marker.pose.orientation, marker.scale
+        places[row, :3] = at.x, at.y, at.z
+        places[row, 3:7] = turned.x, turned.y, turned.z, turned.w
+        places[row, 7:] = scale.x, scale.y, scale.z
+        numbers[:, row] = (
+            namespaces.setdefault(marker.ns, len(namespaces)),
+            frame_ids.setdefault(marker.header.frame_id, len(frame_ids)),
+            nanoseconds(marker.header.stamp),
+            *(marker.id, marker.type, marker.action),
+            nanoseconds(marker.lifetime),
+        )
+    namespace, frame, stamp, number, kind, action, lifetime = numbers
+
+    def points(row):
+        found = np.array([(p.x, p.y, p.z) for p in markers[row].points], np.float64)
+        return found.reshape(-1, 3)
+
+    def colours(row):
+        found = np.array([(c.r, c.g, c.b, c.a) for c in markers[row].colors], np.float64)
+        return found.reshape(-1, 4)
+
+    return MarkerTable(
+        *(list(namespaces), namespace, list(frame_ids), frame),
+        *(stamp, number, kind, action),
+        *(places[:, :3], places[:, 3:7], places[:, 7:]),
+        *(lifetime, points, colours),
+    )
