@@ -94,9 +94,7 @@ def test_a_picture_is_as_large_as_the_world(unit):
     pyplot.close('all')
 
 
-FOLD = Mesh(
-    np.array([[(2, 0, 0), (3, 0, 0), (3, 1, 1)], [(2, 0, 0), (3, 1, 1), (2, 1, 0)]], float)
-)
+FOLD = Mesh([[(2, 0, 0), (3, 0, 0), (3, 1, 1)], [(2, 0, 0), (3, 1, 1), (2, 1, 0)]])
 
 
 def test_the_triangle_that_a_ray_meets_is_outlined():

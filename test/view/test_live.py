@@ -112,7 +112,7 @@ def moved_to(world, others, x):
 
 
 def test_boxes_and_meshes_of_a_picture_are_told_apart():
-    """As the node draws them, and read back: also one of twelve triangles, and one without size."""
+    """As the node draws them: also a mesh of twelve triangles, and one without size."""
     rng = np.random.default_rng(6)
     turns = Rotation.random(5, random_state=1).as_quat()
     boxes = Shapes.boxes(rng.uniform(-9, 9, (5, 3)), rng.uniform(1, 2, (5, 3)), turns)

@@ -73,14 +73,13 @@ def test_a_page_tells_apart_what_a_thousandth_of_the_world_is_apart(unit, away):
 
 
 def test_a_ray_at_a_mesh_tells_its_triangle():
-    corners = np.array(
-        [[(0, 0, 0), (2, 0, 0), (2, 2, 0)], [(0, 0, 0), (2, 2, 0), (0, 2, 1)]], float
-    )
+    corners = np.array([[(0, 0, 0), (2, 0, 0), (2, 2, 0)], [(0, 0, 0), (2, 2, 0), (0, 2, 1)]])
     place, scene = np.array((5.0, -1.0, 2.0)), NodeScene()
     scene.update('us', ['sheet'], Shapes.of_meshes(Mesh(corners), [place]), stamp=0)
     scene.update('us', ['box'], Shapes.boxes([(0, 9, 0)], 1.0), stamp=0)
     world = ShownWorld('sheet', scene)
-    answer = world.raycast(place + (0.5, 1.5, 5.0), place + (0.5, 1.5, -5.0))
+    above, below = place + np.array((0.5, 1.5, 5.0)), place + np.array((0.5, 1.5, -5.0))
+    answer = world.raycast(above, below)
     (hit,) = answer.hits
     assert (hit.name, hit.triangle) == ('sheet', 1)
     a, b, c = corners[1] + place

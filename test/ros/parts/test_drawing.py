@@ -121,10 +121,8 @@ def folds(count):
     scene = NodeScene()
     shapes = Shapes.of_meshes(Mesh(FOLD), places, turns.as_quat())
     scene.update('us', [f'{k:03}' for k in range(count)], shapes, stamp=0)
-    corners = [
-        turn.apply(FOLD.reshape(-1, 3)) + at for turn, at in zip(turns, places, strict=True)
-    ]
-    return scene.shapes_of('us', count), np.array(corners)
+    corners = [turn.apply(FOLD.reshape(-1, 3)) for turn in turns] + places[:, None]
+    return scene.shapes_of('us', count), corners
 
 
 def test_meshes_are_drawn_as_they_are():
