@@ -17,8 +17,12 @@ NO_AREA = np.array([[(0, 0, 0), (1, 1, 1), (3, 3, 3)]])
 
 
 def with_gaps(triangles):
-    """Triangles among others without area, so that rows as given are not those of the mesh."""
-    return np.insert(triangles, [0, 0, len(triangles) // 2], NO_AREA, axis=0)
+    """Triangles among others without area, so that rows as given are not those of the mesh.
+
+    An even number of them: so what was closed is still.
+    """
+    half = len(triangles) // 2
+    return np.insert(triangles, [0, 0, half, half], NO_AREA, axis=0)
 
 
 # ---- What exact arithmetic says.
@@ -105,7 +109,7 @@ def test_the_first_triangle_is_exact_and_the_lowest_row_of_several(name, power):
     wanted = [rows[tied] for tied in first_triangles(triangles[real], starts, goals - starts)]
     for solid in (None, False):
         mesh = Mesh(triangles * unit, solid=solid)
-        assert mesh.dropped == 3
+        assert (mesh.dropped, mesh.solid) == (4, name in SOLIDS and solid is None)
         hits = scene_of(Shapes.of_meshes(mesh, [0, 0, 0])).raycast_many(
             starts * unit, (goals - starts) * unit, 1.0
         )
@@ -213,8 +217,9 @@ def distances_along(triangles, starts, goals):
     way = (goals - starts)[:, None]
     sides = [(way * np.cross(p, q)).sum(axis=2) for p, q in ((b, c), (c, a), (a, b))]
     total = sum(sides)
-    shares = np.stack(sides) / total
-    t = (a * np.cross(b, c)).sum(axis=2) / total
+    with np.errstate(divide='ignore', invalid='ignore'):
+        shares = np.stack(sides) / total
+        t = (a * np.cross(b, c)).sum(axis=2) / total
     within = (shares.min(axis=0) >= -1e-12) & (t >= -1e-12) & (t <= 1.0)
     clear = (np.abs(shares).min(axis=0) > 1e-9) | ~within
     return np.where(within, t, np.nan), clear.all(axis=1)
@@ -298,7 +303,7 @@ def test_many_meshes_each_have_rows_of_their_own():
         one = hits.triangles[[row]], hits.uv[[row]]
         assert places(corners + at[row], *one)[0] == pytest.approx(hits.points[row], abs=1e-12)
     shift = hits.triangles[1] - hits.triangles[0]
-    assert shift in (2, 3)
+    assert shift in (2, 4)
     scene.remove('us', ['a', 'c'])
     assert scene.sweep_many(starts, goals).triangles.tolist() == [
         -1, hits.triangles[1], -1, hits.triangles[3]
@@ -358,7 +363,6 @@ def test_what_has_no_triangle_says_so():
         scene.raycast((1.0, 0.0, 0.0), down[1]),
         scene.overlap((0.9, -0.1, -0.1), (1.1, 0.1, 0.1))[0],
         scene.nearest((1.0, 0.0, 5.0))[0],
-        scene.sweep_shape(Shapes.spheres([down[0]], 0.1), down[1]),
     ]
     for hit in none:
         assert hit.triangle == -1
