@@ -3,7 +3,7 @@
 """What a scene tells about itself."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from typing import Any
 
 import numpy as np
@@ -14,7 +14,7 @@ from .results import LAST_NODE_HANDLE, Obstacle
 from .rows import text
 from .shapes.footprint import Polygon
 from .shapes.mesh import convex_polygon
-from .shapes.shape import Floats, ShapeKind, Shapes, rotations, shapes_of
+from .shapes.shape import Floats, ShapeKind, Shapes, different, rotations, shapes_of
 from .store import Obstacles, run_in_thread
 
 MOST_COUNTED = 100_000  # boxes, whose cost takes 5 ms
@@ -88,6 +88,31 @@ def outlines(shapes: Shapes) -> list[Floats]:
     return [convex_polygon(surface.reshape(-1, 3)[:, :2]) for surface in surfaces(shapes)]
 
 
+def triangles(shapes: Shapes) -> list[Floats]:
+    """The triangles (m, 3, 3) of each of the canonical shapes, which are meshes."""
+    assert shapes.mesh is not None
+    turns, found = rotations(shapes.orientation), [np.empty((0, 3, 3))] * len(shapes.kind)
+    meshes, which = different(shapes.mesh)
+    for number, mesh in enumerate(meshes):
+        rows = np.flatnonzero(which == number)
+        places = mesh.vertices @ turns[rows].swapaxes(1, 2) + shapes.position[rows, None]
+        for row, corners in zip(rows.tolist(), places, strict=True):
+            found[row] = corners[mesh.corners]
+    return found
+
+
+def middles(shapes: Shapes) -> Floats:
+    """Middles (n, 3) of canonical shapes' own boxes: the frame of a mesh may begin elsewhere."""
+    places = shapes.position.copy()
+    rows = np.flatnonzero(shapes.kind == ShapeKind.MESH)
+    if shapes.mesh is not None and len(rows):
+        meshes, which = different(shapes.mesh[rows])
+        spans = [(mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)) for mesh in meshes]
+        local, turns = 0.5 * np.array(spans).sum(axis=1), rotations(shapes.orientation[rows])
+        places[rows] += np.einsum('nij,nj->ni', turns, local[which])
+    return places
+
+
 # ---- What a scene tells about itself.
 
 
@@ -157,7 +182,9 @@ class Inspection:
         """Canonical shapes of the first obstacles of a source, by handle: a mesh has the position
         of the middle of its box.
         """
-        slots = self._slots_of(source, most)
+        return self._shapes_at(self._slots_of(source, most))
+
+    def _shapes_at(self, slots: NDArray[np.int64]) -> Shapes:
         geometry = self._store.columns.geometry[slots]
         kind, mesh = geometry['kind'], None
         if (kind == ShapeKind.MESH).any():
@@ -166,6 +193,33 @@ class Inspection:
                 store = self._store.columns.meshes[int(geometry['mesh'][row])]
                 mesh[row] = store.mesh if isinstance(store, Polygon) else store
         return shapes_of(geometry)._replace(mesh=mesh)
+
+    def own_box(self, name: str) -> tuple[Floats, Floats, Floats]:
+        """Middle, orientation and edges of the box around one obstacle, along its own axes.
+
+        KeyError if there is none of this name.
+        """
+        shapes = self._shapes_at(np.array([self._store.slot(name)]))
+        return middles(shapes)[0], shapes.orientation[0], shapes.size[0]
+
+    def triangles_met(self, hits: Iterable[tuple[int, int, Floats, Floats]]) -> Floats:
+        """Corners (m, 3, 3) of the triangles that hits, (handle, triangle, uv, point), have met.
+
+        The scene must not have changed since. A triangle that moves stands where it is met. Hits
+        without a triangle are left out.
+        """
+        columns, found = self._store.columns, []
+        met = [hit for hit in hits if hit[1] >= 0]
+        slots = np.flatnonzero(np.isin(columns.node_handle, [hit[0] for hit in met]))
+        slot_of = dict(zip(columns.node_handle[slots].tolist(), slots.tolist(), strict=True))
+        for handle, triangle, (u, v), point in met:
+            shape = columns.geometry[slot_of[handle]]
+            mesh = columns.meshes[int(shape['mesh'])]
+            face = mesh.corners[np.searchsorted(mesh.rows, triangle)]
+            corners = mesh.vertices[face]
+            place = np.array((1.0 - u - v, u, v)) @ corners
+            found.append((corners - place) @ rotations(shape['orientation'][None])[0].T + point)
+        return np.array(found).reshape(-1, 3, 3)
 
     def handles_of(self, source: str, most: int) -> NDArray[np.int64]:
         """Node handles of a source's obstacles, row for row those of `shapes_of`."""

@@ -46,6 +46,8 @@ class NodeScene(Scene):
     names_of = method_of('_inspection', Inspection.names_of)
     shapes_of = method_of('_inspection', Inspection.shapes_of)
     handles_of = method_of('_inspection', Inspection.handles_of)
+    own_box = method_of('_inspection', Inspection.own_box)
+    triangles_met = method_of('_inspection', Inspection.triangles_met)
     tree_levels = method_of('_inspection', Inspection.tree_levels)
     figures = method_of('_inspection', Inspection.figures)
     validate_in_turns = method_of('_inspection', Inspection.validate_in_turns)

@@ -5,13 +5,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from functools import cached_property
 from typing import Any, NamedTuple, overload
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..tree.access import shown_point, shown_rows
-from .shapes.shape import ShapeKind
+from .shapes.shape import Floats, ShapeKind
 
 # ---- What the scene returns.
 
@@ -29,9 +30,7 @@ def require_few(count: int, most: int | None) -> None:
         raise TooManyHitsError(f'there may be {count} hits, more than {most}')
 
 
-class SceneHit(NamedTuple):
-    """An obstacle that a query meets."""
-
+class _Hit(NamedTuple):
     name: str
     handle: int
     """Node handle, 1 to 2^31 - 1, not reused while the scene lives."""
@@ -51,16 +50,49 @@ class SceneHit(NamedTuple):
     stamp: int
     """Last update of the obstacle, ns."""
 
+
+class SceneHit(_Hit):
+    """An obstacle that a query meets.
+
+    As a tuple it has six fields, name to stamp. A thin ray that enters a mesh meets a triangle,
+    too. Any other hit has none: that of another shape, of a swept ball, of an overlap or a nearest
+    obstacle, of a ray that starts in the solid, and every hit in a planar scene.
+    """
+
+    _met: Floats | None = None  # row, u and v of the triangle; None: there is none
+
+    @property
+    def triangle(self) -> int:
+        """Row of the triangle that is met, in the mesh as it was given; -1 without any.
+
+        On an edge or corner of several triangles it is the lowest row of theirs.
+        """
+        return -1 if self._met is None else int(self._met[0])
+
+    @property
+    def uv(self) -> Floats:
+        """Shape (2,): where in the triangle the point is, as Embree has it; NaN without one.
+
+        The point is ``(1 - u - v) * a + u * b + v * c``. a, b and c are the triangle's corners, in
+        the order as given, where the mesh stands. u, v and u + v are from 0 to 1.
+        """
+        return np.full(2, np.nan) if self._met is None else self._met[1:]
+
+    def _replace(self, **fields: Any) -> SceneHit:
+        hit = super()._replace(**fields)
+        hit._met = self._met
+        return hit
+
     def __repr__(self) -> str:
+        triangle = self.triangle
+        more = '' if triangle < 0 else f', triangle={triangle}, uv={shown_point(self.uv)}'
         return (
             f'SceneHit({self.name!r}, t={self.t:.6g}, point={shown_point(self.point)}, '
-            f'normal={shown_point(self.normal)}, handle={self.handle}, stamp={self.stamp})'
+            f'normal={shown_point(self.normal)}, handle={self.handle}, stamp={self.stamp}{more})'
         )
 
 
-class CastHits(NamedTuple):
-    """The first obstacles on n ways."""
-
+class _Casts(NamedTuple):
     handles: NDArray[np.uint32]
     """(n,) node handles, NO_NODE (0xFFFFFFFF) where the way is free."""
     t: NDArray[np.float64]
@@ -70,8 +102,49 @@ class CastHits(NamedTuple):
     normals: NDArray[np.float64]
     """(n, 3) outward; zero where the way is free, or begins in the obstacle."""
 
+
+class CastHits(_Casts):
+    """The first obstacles on n ways.
+
+    As a tuple it has four fields: handles, t, points and normals.
+    """
+
+    _met: Floats | None = None  # (n, 3) row, u and v of triangles; None: there are none
+
+    @cached_property
+    def triangles(self) -> NDArray[np.int64]:
+        """(n,) rows of triangles, as `SceneHit.triangle`; -1 where a way is free, too."""
+        if self._met is None:
+            return np.full(len(self.handles), -1)
+        return self._met[:, 0].astype(np.int64)
+
+    @cached_property
+    def uv(self) -> Floats:
+        """(n, 2) as `SceneHit.uv`; NaN where the triangle is -1."""
+        if self._met is None:
+            return np.full((len(self.handles), 2), np.nan)
+        return np.ascontiguousarray(self._met[:, 1:])
+
+    def _replace(self, **fields: Any) -> CastHits:
+        return cast_hits(super()._replace(**fields), self._met)
+
     def __repr__(self) -> str:
         return shown_rows('CastHits', self.handles != NO_NODE, 'rays hit', 't', self.t)
+
+
+def cast_hits(columns: Any, met: Floats | None) -> CastHits:
+    """Hits of four columns, and the triangles (n, 3) that are met: row, u, v; None: none."""
+    # As CastHits(...), which would take one more call of a function of Python's.
+    hits = tuple.__new__(CastHits, columns)
+    if met is not None:
+        hits._met = met
+    return hits
+
+
+def joined_hits(parts: Sequence[CastHits]) -> CastHits:
+    """Hits one after the other; all or none of them have triangles."""
+    met = None if parts[0]._met is None else np.concatenate([part._met for part in parts])
+    return cast_hits([np.concatenate(column) for column in zip(*parts, strict=True)], met)
 
 
 class ShapeSweeps(NamedTuple):

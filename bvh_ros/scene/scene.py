@@ -201,13 +201,17 @@ class Scene(RayQueries, OverlapQueries, DistanceQueries, SweepQueries):
     ) -> Any:
         """Draw the obstacles with matplotlib, a colour a source; a planar scene from above.
 
-        Parameters, and what is returned, as in `DynamicBVH.plot`.
+        Parameters, and what is returned, as in `DynamicBVH.plot`. Where a ray meets a mesh, the
+        triangle is outlined.
         """
         ndim, inspection = 2 if self.planar else 3, self._inspection
 
-        def cast(starts: Floats, goals: Floats) -> Floats:
+        def cast(starts: Floats, goals: Floats) -> tuple[Floats, Floats]:
             level = ((0, 0), (0, 3 - ndim))
-            return self.sweep_many(np.pad(starts, level), np.pad(goals, level)).t
+            hits = self.sweep_many(np.pad(starts, level), np.pad(goals, level))
+            columns = hits.handles.tolist(), hits.triangles.tolist(), hits.uv, hits.points
+            met = inspection.triangles_met(zip(*columns, strict=True))
+            return hits.t, plotting.around(met[..., :ndim])
 
         world = plotting.World(ndim, self.bounds, inspection.faces(), inspection.tree_levels, cast)
         return plotting.picture(axes, world, levels, rays, hits)

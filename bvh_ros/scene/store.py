@@ -178,6 +178,8 @@ class Columns:
     shapes: tuple[Any, Any]
     """(records, hulls), and (footprints, hulls), one of which is None: see `cast.arguments`."""
     bodies: Bodies
+    rows_of_hit: int
+    """Point and normal of a hit; in a scene of meshes in space the triangle, too."""
 
     def __init__(self, planar: bool, meshes: bool = False, any_mesh: bool = False) -> None:
         self.tree_handle = np.empty(0, np.int64)
@@ -206,6 +208,7 @@ class Columns:
             hulls = AnyHulls(*hulls)
         self.hulls = hulls
         self.shapes = ((solid, hulls), None) if flat is None else (None, (flat, hulls))
+        self.rows_of_hit = 3 if flat is None and hulls is not None else 2
         self.bodies = Bodies(solid, flat, hulls, hulls and of_one_type(hulls, NO_HULLS)[1])
 
     def clear(self) -> None:
@@ -391,12 +394,17 @@ class Obstacles:
     def __len__(self) -> int:
         return len(self.registry)
 
-    def hit(self, slot: int, t: float, point: Floats, normal: Floats) -> SceneHit:
-        """What a query tells of an obstacle."""
+    def hit(
+        self, slot: int, t: float, point: Floats, normal: Floats, met: Floats | None = None
+    ) -> SceneHit:
+        """What a query tells of an obstacle; `met` as of `results.SceneHit`."""
         columns = self.columns
         handle, stamp = columns.node_handle.item(slot), columns.stamp.item(slot)
         fields = self.registry.name(slot), handle, t, point, normal, stamp
-        return tuple.__new__(SceneHit, fields)  # half the time of SceneHit(...)
+        hit = tuple.__new__(SceneHit, fields)  # half the time of SceneHit(...)
+        if met is not None:
+            hit._met = met
+        return hit
 
     def hits(self, found: Any, rows: list[int]) -> list[SceneHit]:
         """What a query tells of rows of a `touching.Found`."""

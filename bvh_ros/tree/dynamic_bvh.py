@@ -311,12 +311,13 @@ class DynamicBVH(RayQueries, BoxQueries):
         -------
         matplotlib axes
         """
+        no_triangles = np.empty((0, 2, self.ndim))
         world = plotting.World(
             self.ndim,
             self.bounds,
             {'box': plotting.box_faces(*self.boxes(self.ids()))},
             self.levels,
-            lambda starts, goals: self.raycast_many(starts, goals - starts, 1.0).t,
+            lambda starts, goals: (self.raycast_many(starts, goals - starts, 1.0).t, no_triangles),
         )
         return plotting.picture(axes, world, levels, rays, hits)
 

@@ -49,8 +49,9 @@ class World(NamedTuple):
     faces: Mapping[str, Any]
     # lo, hi and depth of the tree's boxes from one depth to another, so many at most.
     levels: Callable[[int, int, int], tuple[Floats, Floats, NDArray[np.int64]]]
-    # Takes starts and goals (n, ndim); returns t (n,) of the first hits, 1 at the goal; inf: free.
-    cast: Callable[[Floats, Floats], Floats]
+    # Takes starts and goals (n, ndim); returns t (n,) of the first hits, 1 at the goal; inf: free;
+    # and the edges (m, 2, ndim) of the triangles that are met.
+    cast: Callable[[Floats, Floats], tuple[Floats, Floats]]
 
 
 def picture(axes: Any, world: World, levels: Levels, rays: Any, hits: Any) -> Any:
@@ -77,12 +78,16 @@ def picture(axes: Any, world: World, levels: Levels, rays: Any, hits: Any) -> An
         colours, sides = PALETTE[-1 - depth % len(PALETTE)], edges(lo, hi)
         _add_lines(axes, sides, np.repeat(colours, len(sides) // max(1, len(lo)), axis=0), 0.9)
         lines = {f'depth {k}': PALETTE[-1 - k % len(PALETTE)] for k in np.unique(depth).tolist()}
-    t = world.cast(segments[:, 0], segments[:, 1]) if len(segments) else np.empty(0)
+    t, outlined = np.empty(0), np.empty((0, 2, ndim))
+    if len(segments):
+        t, outlined = world.cast(segments[:, 0], segments[:, 1])
     blocked, steps = np.isfinite(t), segments[:, 1] - segments[:, 0]
     ends = segments[:, 0] + np.where(blocked, t, 1.0)[:, None] * steps
     if len(segments):
         rays = np.stack((segments[:, 0], ends), axis=1)
         _add_lines(axes, rays, np.where(blocked[:, None], BLOCKED_COLOUR, FREE_COLOUR), 1.8)
+        if len(outlined):
+            _add_lines(axes, outlined, BLOCKED_COLOUR, 1.2)
         lines |= {'free ray': FREE_COLOUR} if not blocked.all() else {}
         lines |= {'ray to its hit': BLOCKED_COLOUR} if blocked.any() else {}
     spots = np.concatenate((spots, ends[blocked]))
@@ -150,6 +155,12 @@ def edges(lo: Floats, hi: Floats) -> Floats:
     ndim = lo.shape[1]
     around = EDGES[(2**ndim > EDGES).all(axis=1)]
     return corners_of(lo, hi)[:, around].reshape(-1, 2, ndim)
+
+
+def around(polygons: Floats) -> Floats:
+    """Edges (m * k, 2, ndim) of polygons (m, k, ndim)."""
+    following = np.roll(polygons, -1, axis=1)
+    return np.stack((polygons, following), axis=2).reshape(-1, 2, polygons.shape[2])
 
 
 def _points(name: str, given: Any, shape: tuple[int, ...]) -> Floats:

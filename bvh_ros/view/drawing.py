@@ -82,6 +82,7 @@ class Triangles(NamedTuple):
     vertices: Floats
     faces: NDArray[Any]
     flat: bool
+    side: str = 'front'  # from where they are seen
 
 
 def _unit(made: trimesh.Trimesh, flat: bool) -> Triangles:
@@ -171,6 +172,7 @@ class Obstacles:
                 self._server, self._server.scene.add_batched_meshes_simple,
                 f'/obstacles/{colour}_{name}', vertices=vertices, faces=triangles.faces,
                 batched_colors=as_sent(PALETTE[colour]), lod='off', flat_shading=triangles.flat,
+                side=triangles.side,
             )  # fmt: skip
         self._shown[key].draw(
             batched_wxyzs=orientation[:, (3, 0, 1, 2)].astype(np.float32),
@@ -194,7 +196,9 @@ def _by_mesh(shapes: Shapes) -> Iterator[tuple[str, Triangles, Shapes]]:
         rows_of.setdefault(mesh.key, []).append(row)
         meshes[mesh.key] = mesh
     for key, several in rows_of.items():
-        triangles = Triangles(meshes[key].vertices, _wound(meshes[key]), True)
+        # One that is not convex may be open, and is wound anyhow.
+        side = 'front' if meshes[key].convex else 'double'
+        triangles = Triangles(meshes[key].vertices, _wound(meshes[key]), True, side)
         yield f'mesh_{key.hex()[:16]}', triangles, shapes.take(several)
 
 

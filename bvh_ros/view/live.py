@@ -33,7 +33,7 @@ from bvh_ros.ros.conversions.times import nanoseconds
 from bvh_ros.ros.parts.diagnostics import Maintenance
 from bvh_ros.ros.server import BvhServer
 from bvh_ros.ros.world.frames import FrameError, Frames, Transform
-from bvh_ros.scene import ShapeKind, Shapes, unchecked_shapes
+from bvh_ros.scene import AS_SURFACE, ShapeKind, Shapes, mesh_of, unchecked_shapes
 from bvh_ros.view.worlds import (
     NO_POINTS,
     Answer,
@@ -70,7 +70,8 @@ def obstacles(message: bytes) -> dict[str, Shapes]:
             places = table.position[row : row + 1], table.orientation[row : row + 1]
             drawn = _shapes(SINGLES[kind], *places, table.scale[row : row + 1])
         elif kind == Marker.TRIANGLE_LIST:
-            drawn = _of_triangles(table.points(row))
+            points = table.points(row)
+            drawn = _of_boxes(points) if _are_boxes(points) else _of_mesh(points)
         if drawn is not None:
             source = table.namespaces[int(table.namespace[row])]
             found.setdefault(source, []).append(drawn)
@@ -112,7 +113,25 @@ def _of_list(table: MarkerTable, row: int, kind: ShapeKind) -> Shapes:
     return _shapes(kind, places, np.tile(turn, (count, 1)), np.tile(table.scale[row], (count, 1)))
 
 
-def _of_triangles(points: Floats) -> Shapes:
+def _are_boxes(points: Floats) -> bool:
+    """Whether these are the triangles of boxes, as the node writes them, not those of a mesh."""
+    if len(points) % CORNERS_A_BOX:
+        return False
+    corners = points.reshape(-1, CORNERS_A_BOX, 3)
+    return np.array_equal(corners, corners[:, FIRST][:, TRIANGLES])
+
+
+def _of_mesh(points: Floats) -> Shapes:
+    """One surface; where it is too small or too large for one, the box around it."""
+    try:
+        mesh = mesh_of(points.reshape(-1, 3, 3), AS_SURFACE)
+    except ValueError:
+        lo, hi = points.min(axis=0), points.max(axis=0)
+        return Shapes.boxes([0.5 * lo + 0.5 * hi], hi - lo)
+    return Shapes.of_meshes(mesh, np.zeros((1, 3)))
+
+
+def _of_boxes(points: Floats) -> Shapes:
     """Boxes from twelve triangles each."""
     corners = points.reshape(-1, CORNERS_A_BOX, 3)[:, FIRST]
     axes = corners[:, (1, 2, 4)] - corners[:, :1]  # (n, 3, 3): the edges along x, y and z
@@ -142,9 +161,13 @@ def _shapes(kind: ShapeKind, position: Floats, orientation: Floats, size: Floats
 
 
 def _joined(several: list[Shapes]) -> Shapes:
-    return unchecked_shapes(
-        *(np.concatenate([one[column] for one in several]) for column in range(4))
+    meshes = np.concatenate(
+        [np.full(len(one.kind), None) if one.mesh is None else one.mesh for one in several]
     )
+    kinds, places, turns, sizes = (
+        np.concatenate([one[column] for one in several]) for column in range(4)
+    )
+    return unchecked_shapes(kinds, places, turns, sizes, meshes)
 
 
 # ---- The topics of a node: diagnostics and pictures

@@ -16,7 +16,7 @@ import viser
 from bvh_ros.ros.conversions.outlines import edges
 from bvh_ros.tree.access import BLOCKED_COLOUR, FREE_COLOUR
 from bvh_ros.view.drawing import COLOURS, Dots, Lines, Placing, Shown
-from bvh_ros.view.worlds import NO_POINTS, Answer, Floats, Recording, ShownWorld
+from bvh_ros.view.worlds import NO_LINES, NO_POINTS, Answer, Floats, Recording, ShownWorld
 
 # ---- The probe: a segment or box between two handles, and its hits
 
@@ -51,7 +51,7 @@ class Probe:
             handle.remove()
         self._handles.clear()
         if kind == NOTHING:
-            self._show(np.empty((0, 2, 3)), NO_POINTS, '', 1.0)
+            self._show(NO_LINES, NO_POINTS, '', 1.0)
             return
         middle, reach = 0.5 * lo + 0.5 * hi, np.array((0.25, 0.12, 0.02)) * size
         if kind == SEGMENT:
@@ -98,6 +98,7 @@ class Probe:
             lines = edges(np.minimum(one, other)[None], np.maximum(one, other)[None])
         elif len(spots):
             lines = np.array([(one, spots[0])])
+        lines = np.concatenate((lines, answer.edges))
         names = ', '.join(hit.name for hit in answer.hits[:SHOWN])
         self._show(lines, spots, names or 'free', size)
 
@@ -120,7 +121,9 @@ def in_words(answer: Answer) -> str:
     names = ', '.join(f'<b>{escape(hit.name)}</b>' for hit in answer.hits[:SHOWN])
     rest = len(answer.hits) - SHOWN
     more = f' and {rest} more' if rest > 0 else ''
-    return f'{names}{more} at ({in_digits(*answer.hits[0].point)}) m {took}'
+    first = answer.hits[0]
+    met = f', triangle {first.triangle}' if first.triangle >= 0 else ''
+    return f'{names}{more} at ({in_digits(*first.point)}) m{met} {took}'
 
 
 def in_digits(*metres: float) -> str:

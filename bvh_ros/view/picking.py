@@ -141,7 +141,7 @@ class Picking:
         if self._picked not in scene:
             self._mark.clear()
             return
-        known = scene.get(self._picked)
-        turn = rotations(known.orientation[None])[0]
+        middle, orientation, size = scene.own_box(self._picked)
+        turn = rotations(orientation[None])[0]
         colour = (1.0, 1.0, 1.0) if self._panel.dark.value else (0.1, 0.1, 0.1)
-        self._mark.draw(edges_of(known.position, turn, 1.02 * known.size), np.array([colour] * 12))
+        self._mark.draw(edges_of(middle, turn, 1.02 * size), np.array([colour] * 12))

@@ -13,35 +13,47 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from bvh_ros.scene import NodeScene, Numbered, Shapes
+from bvh_ros.scene import NodeScene, Numbered, SceneHit, Shapes
 from bvh_ros.tree import DynamicBVH
-from bvh_ros.tree.access import PALETTE
+from bvh_ros.tree.access import PALETTE, plotting
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 MOST_BOXES = 20_000  # of the tree, in the browser
-NO_POINTS = np.empty((0, 3))
+NO_POINTS, NO_LINES = np.empty((0, 3)), np.empty((0, 2, 3))
 THIN = 0.01  # height of what has none, a share of the world's width
 
 
 class NamedPoint(NamedTuple):
-    """An obstacle that a query hit, and the point of the hit, m."""
+    """An obstacle that a query hit, the point of the hit, m, and the triangle of a mesh."""
 
     name: str
     point: Floats
+    triangle: int = -1  # -1 without one
 
 
 class Answer(NamedTuple):
-    """The hits of a query, nearest first, and its time."""
+    """The hits of a query, nearest first, its time, and the edges of the triangles that it met."""
 
     hits: list[NamedPoint]
     microseconds: float
+    edges: Floats = NO_LINES
 
 
 def answer(hits: Iterable[Any], began: float) -> Answer:
     """Of hits of a scene or a client, and when the query began (time.perf_counter)."""
     took = 1e6 * (time.perf_counter() - began)
     return Answer([NamedPoint(hit.name, np.array(hit.point)) for hit in hits], took)
+
+
+def answer_of_ray(scene: NodeScene, hit: SceneHit | None, began: float) -> Answer:
+    """Of a ray in a scene that has not changed since, with the triangle of a mesh."""
+    if hit is None:
+        return answer([], began)
+    found = answer([hit], began)
+    met = scene.triangles_met([(hit.handle, hit.triangle, hit.uv, hit.point)])
+    hits = [found.hits[0]._replace(triangle=hit.triangle)]
+    return found._replace(hits=hits, edges=plotting.around(met))
 
 
 class Group(NamedTuple):
@@ -55,7 +67,7 @@ class Group(NamedTuple):
 class Overlay(NamedTuple):
     """What is drawn over the obstacles."""
 
-    lines: Floats = np.empty((0, 2, 3))
+    lines: Floats = NO_LINES
     colours: Floats = np.empty((0, 3))  # one a line
     spots: Floats = NO_POINTS  # hits
     scan: Floats = NO_POINTS
@@ -148,8 +160,7 @@ class ShownWorld:
     def raycast(self, start: Floats, goal: Floats) -> Answer:
         """Ask for the first obstacle on a segment."""
         began = time.perf_counter()
-        hit = self.scene.raycast(start, goal)
-        return answer([] if hit is None else [hit], began)
+        return answer_of_ray(self.scene, self.scene.raycast(start, goal), began)
 
     def overlap(self, lo: Floats, hi: Floats) -> Answer:
         """Ask for all obstacles that touch a box."""

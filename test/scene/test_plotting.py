@@ -4,6 +4,7 @@
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from bvh_ros.scene import Mesh, NodeScene, ShapeKind, Shapes, inspection
 
@@ -91,6 +92,39 @@ def test_a_picture_is_as_large_as_the_world(unit):
     assert 1.0 < hi / unit < 1.1
     assert -1.1 < lo / unit < -1.0
     pyplot.close('all')
+
+
+FOLD = Mesh([[(2, 0, 0), (3, 0, 0), (3, 1, 1)], [(2, 0, 0), (3, 1, 1), (2, 1, 0)]])
+
+
+def test_the_triangle_that_a_ray_meets_is_outlined():
+    pyplot = pytest.importorskip('matplotlib.pyplot', reason='matplotlib is not installed')
+    pyplot.switch_backend('agg')
+    scene, turn = NodeScene(), Rotation.from_quat(TURN)
+    place = np.array((5.0, -3.0, 1.0))
+    scene.update('us', ['it'], Shapes.of_meshes(FOLD, [place], TURN), stamp=0)
+    middle = turn.apply(np.array((2.3, 0.7, 0.3))) + place
+    along = turn.apply((0.0, 0.0, 4.0))
+    axes = scene.plot(rays=[[middle + along, middle - along]])
+    triangle = turn.apply([(2, 0, 0), (3, 1, 1), (2, 1, 0)]) + place
+    edges = np.stack((triangle, np.roll(triangle, -1, axis=0)), axis=1)
+    np.testing.assert_allclose(axes.collections[-1]._segments3d, edges, atol=1e-12)
+    free = scene.plot(rays=[[middle + along, middle + 2.0 * along]])
+    assert len(free.collections) == len(axes.collections) - 1
+    pyplot.close('all')
+
+
+@pytest.mark.parametrize('kind', [*ShapeKind, FOLD])
+def test_the_box_around_an_obstacle_is_tight(kind):
+    scene = NodeScene()
+    shapes = Shapes.of_meshes(FOLD, [(5, -3, 1)], TURN) if kind is FOLD else shapes_of(kind)
+    scene.update('us', ['it'], shapes, stamp=0)
+    (surface,) = inspection.surfaces(scene.shapes_of('us', 9))
+    middle, orientation, size = scene.own_box('it')
+    local = Rotation.from_quat(orientation).inv().apply(surface.reshape(-1, 3) - middle)
+    coarse = 0.03 if kind in (ShapeKind.SPHERE, ShapeKind.CYLINDER, ShapeKind.CAPSULE) else 1e-12
+    np.testing.assert_allclose(local.max(axis=0), 0.5 * size, atol=coarse)
+    np.testing.assert_allclose(local.min(axis=0), -0.5 * size, atol=coarse)
 
 
 def test_handles_and_shapes_of_a_source_are_row_for_row():

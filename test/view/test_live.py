@@ -12,12 +12,15 @@ pytest.importorskip('rclpy', reason='rclpy is not installed', exc_type=ImportErr
 
 import rclpy
 from geometry_msgs.msg import PoseStamped
+from scipy.spatial.transform import Rotation
 from visualization_msgs.msg import Marker, MarkerArray
 
 from bvh_ros.client import BvhClient
+from bvh_ros.ros.cdr.drawing import Drawing, marker_array
+from bvh_ros.ros.parts.drawing import obstacles as drawn_obstacles
 from bvh_ros.ros.running import running_node, wait_until_ready
-from bvh_ros.scene import ShapeKind
-from bvh_ros.view.live import Live
+from bvh_ros.scene import Mesh, ShapeKind, Shapes
+from bvh_ros.view.live import Live, obstacles
 from bvh_ros.view.worlds import Namespaces, Wanted
 
 SPACE = f'/view{os.getpid()}'
@@ -106,6 +109,27 @@ def moved_to(world, others, x):
     others.moving.publish(MarkerArray(markers=[marker('cart', 7, (x, 0, 0.5))]))
     until(world, lambda: world.version() != version and 'cart/7' in world.scene)
     until(world, lambda: world.scene.get('cart/7').position[0] == x)
+
+
+def test_boxes_and_meshes_of_a_picture_are_told_apart():
+    """As the node draws them: also a mesh of twelve triangles, and one without size."""
+    rng = np.random.default_rng(6)
+    turns = Rotation.random(5, random_state=1).as_quat()
+    boxes = Shapes.boxes(rng.uniform(-9, 9, (5, 3)), rng.uniform(1, 2, (5, 3)), turns)
+    given = [rng.uniform(-1, 1, (count, 3, 3)) for count in (2, 12)]
+    meshes = [Mesh(triangles) for triangles in given]
+    sheets = Shapes.of_meshes(meshes, rng.uniform(-9, 9, (2, 3)), turns[:2])
+    drawn = [one for some in (boxes, sheets) for one, _ in drawn_obstacles(some, 'us', [1] * 4)]
+    speck = Drawing(Marker.TRIANGLE_LIST, (1, 1, 1), namespace='us', points=np.full((3, 3), 2.0))
+    shown = obstacles(marker_array([*drawn, speck], 'map', 0))['us']
+    assert shown.kind.tolist() == [ShapeKind.BOX] * 5 + [ShapeKind.MESH] * 2 + [ShapeKind.BOX]
+    np.testing.assert_allclose(shown.position[:5], boxes.position, atol=1e-12)
+    np.testing.assert_allclose(shown.size[:5], boxes.size, atol=1e-12)
+    for mesh, triangles, row in zip(shown.mesh[5:7], given, range(2), strict=True):
+        turn, place = Rotation.from_quat(turns[row]), sheets.position[row]
+        wanted = turn.apply(triangles.reshape(-1, 3)) + place
+        np.testing.assert_allclose(mesh.vertices[mesh.corners].reshape(-1, 3), wanted, atol=1e-12)
+    assert (shown.position[7].tolist(), shown.size[7].tolist()) == ([2.0] * 3, [0.0] * 3)
 
 
 def test_what_moves_is_heard_at_once_and_the_node_answers(live):

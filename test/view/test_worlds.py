@@ -10,9 +10,10 @@ import numpy as np
 import pytest
 
 from bvh_ros import DynamicBVH
-from bvh_ros.scene import NodeScene, Shapes
-from bvh_ros.view.drawing import Placing
+from bvh_ros.scene import Mesh, NodeScene, Shapes
+from bvh_ros.view.drawing import Placing, _by_mesh
 from bvh_ros.view.main import _is_local, _open, main
+from bvh_ros.view.panel import in_words
 from bvh_ros.view.worlds import MOST_NAMESPACES, Namespaces, SavedTree, ShownWorld, namespace_of
 
 RNG = np.random.default_rng(4)
@@ -69,6 +70,26 @@ def test_a_page_tells_apart_what_a_thousandth_of_the_world_is_apart(unit, away):
     assert (np.abs(seen) < 1e6).all()
     assert (np.diff(seen, axis=0) > 0.0).all()
     np.testing.assert_allclose(placing.in_world(placing.shown(points)), points, rtol=1e-15)
+
+
+def test_a_ray_at_a_mesh_tells_its_triangle():
+    corners = np.array([[(0, 0, 0), (2, 0, 0), (2, 2, 0)], [(0, 0, 0), (2, 2, 0), (0, 2, 1)]])
+    place, scene = np.array((5.0, -1.0, 2.0)), NodeScene()
+    scene.update('us', ['sheet'], Shapes.of_meshes(Mesh(corners), [place]), stamp=0)
+    scene.update('us', ['box'], Shapes.boxes([(0, 9, 0)], 1.0), stamp=0)
+    world = ShownWorld('sheet', scene)
+    above, below = place + np.array((0.5, 1.5, 5.0)), place + np.array((0.5, 1.5, -5.0))
+    answer = world.raycast(above, below)
+    (hit,) = answer.hits
+    assert (hit.name, hit.triangle) == ('sheet', 1)
+    a, b, c = corners[1] + place
+    np.testing.assert_allclose(answer.edges, [(a, b), (b, c), (c, a)], atol=1e-12)
+    assert ' m, triangle 1 <' in in_words(answer)
+    other = world.raycast(np.array((0.0, 9.0, 5.0)), np.array((0.0, 9.0, -5.0)))
+    assert ([hit.triangle for hit in other.hits], len(other.edges)) == ([-1], 0)
+    assert 'triangle' not in in_words(other)
+    ((_, triangles, _),) = _by_mesh(scene.shapes_of('us', 1))
+    assert triangles.side == 'double'  # it is seen from below, too
 
 
 def test_a_click_on_a_planar_world_asks_for_what_stands_there():

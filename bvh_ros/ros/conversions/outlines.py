@@ -1,6 +1,6 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Boxes as lines and triangles, many at once."""
+"""Obstacles as lines and triangles, many at once."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bvh_ros.ros.conversions import rotations
-from bvh_ros.scene import Shapes
+from bvh_ros.scene import Shapes, inspection
 from bvh_ros.tree.access import CORNERS, SIDES, plotting
 
 Floats = NDArray[np.float64]
@@ -26,5 +26,6 @@ def triangles(shapes: Shapes) -> Floats:
     """Return the corners (n * 36, 3) of the twelve triangles around each shape's own box."""
     local = (CORNERS - 0.5) * shapes.size[:, None]
     turned = rotations.rotate(rotations.normalised(shapes.orientation)[:, None], local)
-    corners: Floats = (shapes.position[:, None] + turned)[:, TRIANGLES].reshape(-1, 3)
+    middles = inspection.middles(shapes)
+    corners: Floats = (middles[:, None] + turned)[:, TRIANGLES].reshape(-1, 3)
     return corners

@@ -15,8 +15,8 @@ from bvh_ros.ros.cdr.drawing import Drawing, marker_array
 from bvh_ros.ros.conversions import outlines, rotations
 from bvh_ros.ros.conversions.query_clouds import FREE, UNANSWERED, Floats
 from bvh_ros.ros.parts.part import OnDemandPublisher
-from bvh_ros.scene import ShapeKind, Shapes
-from bvh_ros.tree.access import BLOCKED_COLOUR, FREE_COLOUR, PALETTE
+from bvh_ros.scene import ShapeKind, Shapes, inspection
+from bvh_ros.tree.access import BLOCKED_COLOUR, FREE_COLOUR, PALETTE, plotting
 
 if TYPE_CHECKING:
     from rclpy.node import Node
@@ -25,13 +25,14 @@ if TYPE_CHECKING:
     from bvh_ros.ros.conversions.plans import Query
     from bvh_ros.ros.conversions.query_clouds import Hits, Rays
     from bvh_ros.ros.world.world import World
-    from bvh_ros.scene import SceneHit
+    from bvh_ros.scene import NodeScene, SceneHit
 
 # `~/scene` and `~/tree`: the world and the tree as few markers, while there are subscribers.
 #
 # RViz becomes unusable with thousands of markers, so boxes of one size and orientation are one
 # CUBE_LIST, spheres of one size one SPHERE_LIST, and all boxes that have few like them the
-# triangles of one TRIANGLE_LIST.
+# triangles of one TRIANGLE_LIST. Meshes are drawn by their own triangles, altogether as many as
+# the boxes that `draw.limit` allows.
 
 MOST_SINGLES = 500  # markers of a single shape; with thousands of them RViz crawls
 MOST_LISTS = 50  # of each source and kind
@@ -47,7 +48,7 @@ SINGLES = {ShapeKind.SPHERE: Marker.SPHERE, ShapeKind.CYLINDER: Marker.CYLINDER}
 class SceneDrawing(OnDemandPublisher):
     """`~/scene`: every obstacle, up to a limit, in the namespace and colour of its source.
 
-    What is neither box, sphere nor cylinder is drawn as the box around it.
+    A capsule is drawn as the box around it, and so are meshes of too many triangles.
     """
 
     def __init__(self, node: Node, world: World, settings: DrawSettings) -> None:
@@ -57,15 +58,20 @@ class SceneDrawing(OnDemandPublisher):
 
     def message(self) -> bytes:
         """Return the serialised MarkerArray of the world as it is now."""
-        scene, drawings, drawn = self._world.scene, [], 0
+        scene, drawings, drawn, boxed = self._world.scene, [], 0, 0
+        left = self._limit * len(outlines.TRIANGLES) // 3
         for number, source in enumerate(scene.sources()):
-            shapes = scene.shapes_of(source, self._limit - drawn)
+            shapes, boxes = with_few_triangles(scene.shapes_of(source, self._limit - drawn), left)
+            left -= int(triangles_of(shapes).sum())
+            boxed += boxes
             colour = COLOURS[number % len(COLOURS)].tolist()
             for drawing, count in obstacles(shapes, source, colour):
                 drawings.append(drawing)
                 drawn += count
-        if drawn < len(scene) and scene.bounds is not None:
-            drawings.append(_sign(f'{drawn} of {len(scene)} obstacles are drawn', *scene.bounds))
+        signs = [f'{drawn} of {len(scene)} obstacles are drawn'] if drawn < len(scene) else []
+        signs += [f'{boxed} meshes are drawn as boxes'] if boxed else []
+        if signs and scene.bounds is not None:
+            drawings.append(_sign('\n'.join(signs), *scene.bounds))
         return marker_array(drawings, self._world.frames.frame_id, scene.newest)
 
 
@@ -122,12 +128,44 @@ def obstacles(
             for row in range(min(len(some.kind), MOST_SINGLES)):
                 place = some.position[row], some.orientation[row]
                 yield Drawing(SINGLES[kind], some.size[row], colour, namespace, *place), 1
+        elif kind == ShapeKind.MESH:
+            surfaces = inspection.triangles(some)
+            singles, several = surfaces[:MOST_SINGLES], surfaces[MOST_SINGLES:]
+            for corners, count in (
+                *((surface, 1) for surface in singles),
+                *([(np.concatenate(several), len(several))] if several else []),
+            ):
+                points = corners.reshape(-1, 3)
+                yield (
+                    Drawing(Marker.TRIANGLE_LIST, (1, 1, 1), colour, namespace, points=points),
+                    count,
+                )
         elif len(some.kind):
             corners = outlines.triangles(some)
             yield (
                 Drawing(Marker.TRIANGLE_LIST, (1, 1, 1), colour, namespace, points=corners),
                 len(some.kind),
             )
+
+
+def triangles_of(shapes: Shapes) -> NDArray[np.int64]:
+    """Return how many triangles each of the meshes has, in order."""
+    rows = np.flatnonzero(shapes.kind == ShapeKind.MESH)
+    meshes = () if shapes.mesh is None else shapes.mesh[rows]
+    return np.array([len(mesh.corners) for mesh in meshes], np.int64)
+
+
+def with_few_triangles(shapes: Shapes, most: int) -> tuple[Shapes, int]:
+    """Return shapes whose meshes have at most so many triangles together, and how many meshes have
+    become the boxes around them: the first that is too much, and those that follow.
+    """
+    rows = np.flatnonzero(shapes.kind == ShapeKind.MESH)
+    rows = rows[np.cumsum(triangles_of(shapes)) > most]
+    if not len(rows):
+        return shapes, 0
+    kind, position = shapes.kind.copy(), shapes.position.copy()
+    kind[rows], position[rows] = ShapeKind.BOX, inspection.middles(shapes.take(rows))
+    return shapes._replace(kind=kind, position=position), len(rows)
 
 
 def _alike(shapes: Shapes) -> Iterator[NDArray[np.int64]]:
@@ -171,8 +209,9 @@ class Answer(NamedTuple):
 class QueryDrawing(OnDemandPublisher):
     """Shows the last answer to each question since the last message; green is free, red is not.
 
-    So a repeated question leaves no trail of old hits. A ray ends where it hits,
-    and one without end somewhat behind the world. A queried box is drawn by its edges.
+    So a repeated question leaves no trail of old hits. A ray ends where it hits, and one without
+    end somewhat behind the world. A queried box is drawn by its edges, and so is the triangle of a
+    mesh that a ray of a service hits.
     """
 
     def __init__(self, node: Node, world: World, settings: DrawSettings) -> None:
@@ -196,8 +235,10 @@ class QueryDrawing(OnDemandPublisher):
         lines = np.stack((origins, ends), axis=1)
         self._remember(question, Answer(lines, blocked, hits.points[rows][blocked]))
 
-    def add_query(self, query: Query, hits: Sequence[SceneHit], *, is_box: bool) -> None:
-        """Remember a query of a service, and its answer."""
+    def add_query(
+        self, query: Query, hits: Sequence[SceneHit], scene: NodeScene, *, is_box: bool
+    ) -> None:
+        """Remember a query of a service, and the hits of a scene that answer it."""
         spots = np.array([hit.point for hit in hits]).reshape(-1, 3)
         start, goal = np.array(query.start), np.array(query.goal)
         lines = np.stack((start, goal))[None]
@@ -207,6 +248,8 @@ class QueryDrawing(OnDemandPublisher):
             half = np.abs(half)[None] + query.tolerance
             ends = outlines.edges(-half, half)
             lines = (start + goal) * 0.5 + rotations.rotate(turn, ends)
+        met = scene.triangles_met((hit.handle, hit.triangle, hit.uv, hit.point) for hit in hits)
+        lines = np.concatenate((lines, plotting.around(met)))
         blocked = np.full(len(lines), bool(hits))
         self._remember((query, is_box), Answer(lines, blocked, spots))
 

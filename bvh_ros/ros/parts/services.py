@@ -133,7 +133,7 @@ class QueryServices(NodePart):
                 hits = [hit._replace(stamp=span.at + round(hit.t * ns)) for hit in hits]
             self._replies.fill(plan, hits, frames.frame_id, scene.newest)
             if self._drawing.is_watched:
-                self._drawing.add_query(query, hits, is_box=oriented)
+                self._drawing.add_query(query, hits, scene, is_box=oriented)
             self.timings.add(began)
             return
         except TooManyHitsError as error:

@@ -277,7 +277,8 @@ class TypedServices(NodePart):
             reason = explain(error)
         if status != STATUS.COMPILING:  # that is logged as progress
             self.refused.add(reason)
-        write(response, unanswered(response, count), np.full(count, status), reason)
+        nothing = unanswered(request, response, count)
+        write(response, nothing, np.full(count, status), reason)
         self.timings.add(began)
         return reason
 
@@ -321,7 +322,7 @@ class TypedServices(NodePart):
             if len(bad):
                 reasons.append(given.reason)
                 statuses[bad] = STATUS.BAD_REQUEST
-                parts.append((bad, unanswered(response, len(bad))))
+                parts.append((bad, unanswered(request, response, len(bad))))
             for state, these, at, until in given.by_state(scene):
                 masks = given.rows.masks[these] & np.uint32(self.view.mask)
                 these_rows = take(given.rows, these)._replace(masks=masks)
@@ -354,17 +355,19 @@ class TypedServices(NodePart):
     ) -> Answers:
         view = self.view
         if request.all_hits:
-            return self._cast_all(scene, rows, at, until, limit)
+            return self._cast_all(scene, request, rows, at, until, limit)
         hits = scene.raycast_many(
             *(rows.origins, rows.directions, rows.t_max, rows.masks, view.skip_inside),
             *(self._threads(len(rows.masks)), rows.radii, at, until),
         )
         hit = hits.handles != NO_NODE
         numbers = {'t': hits.t[hit], 'points': hits.points[hit], 'normals': hits.normals[hit]}
+        if _wants_triangles(request):
+            numbers |= {'triangles': hits.triangles[hit], 'uv': hits.uv[hit]}
         return Answers(hit.astype(np.int64), hits.handles[hit], numbers)
 
     def _cast_all(
-        self, scene: NodeScene, rows: Rays, at: Any, until: Any, limit: Limit
+        self, scene: NodeScene, request: Any, rows: Rays, at: Any, until: Any, limit: Limit
     ) -> Answers:
         counts, hits = [], []
         goals = rows.origins + rows.directions
@@ -383,6 +386,11 @@ class TypedServices(NodePart):
             'points': np.array([hit.point for hit in hits], np.float64).reshape(-1, 3),
             'normals': np.array([hit.normal for hit in hits], np.float64).reshape(-1, 3),
         }
+        if _wants_triangles(request):
+            numbers |= {
+                'triangles': np.array([hit.triangle for hit in hits], np.int64),
+                'uv': np.array([hit.uv for hit in hits], np.float64).reshape(-1, 2),
+            }
         handles = np.array([hit.handle for hit in hits], np.uint32)
         return Answers(np.array(counts, np.int64), handles, numbers)
 
@@ -604,12 +612,18 @@ def _fields(response: Any) -> dict[str, int]:
     return {name: width for name, width in WIDTHS.items() if hasattr(response, name)}
 
 
-def unanswered(response: Any, count: int) -> Answers:
+def _wants_triangles(request: Any) -> bool:
+    return isinstance(request, Raycast.Request) and request.with_triangles
+
+
+def unanswered(request: Any, response: Any, count: int) -> Answers:
     """Return rows that say that nothing is known."""
     numbers: dict[str, Any] = {
         name: np.full((count, width) if width > 1 else count, np.nan)
         for name, width in _fields(response).items()
     }
+    if _wants_triangles(request):
+        numbers |= {'triangles': np.full(count, -1), 'uv': np.full((count, 2), np.nan)}
     numbers['names'] = np.full(count, '', object)
     return Answers(np.ones(count, np.int64), np.full(count, UNANSWERED, np.uint32), numbers)
 
@@ -646,6 +660,9 @@ def write(response: Any, answers: Answers, statuses: NDArray[np.uint8], reason: 
     for name in _fields(response):
         values = answers.numbers.get(name)
         setattr(response, name, _packed('d', np.zeros(0) if values is None else values))
+    if 'triangles' in answers.numbers:
+        response.triangles = _packed('i', answers.numbers['triangles'].astype(np.int32))
+        response.uv = _packed('d', answers.numbers['uv'])
 
 
 def _packed(code: str, values: NDArray[Any]) -> array[Any]:

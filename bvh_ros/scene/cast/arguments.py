@@ -13,16 +13,18 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
+from numba import types
 from numpy.typing import NDArray
 
 from ...tree.access import RAY_FLOATS, RAY_ROWS, ROOT, OpenTree, checks
-from ...tree.compiler import entry_point, inlined, lean_kernel
+from ...tree.compiler import chosen_by_types, entry_point, inlined, lean_kernel
 from ..shapes.shape import Floats
 from ..store import Columns
 
 SCRATCH = RAY_FLOATS + 21  # floats of a `Scratch`
 UNIT_T_MAX = np.ones(1)  # of segments
-BoxHit = tuple[int, float, Floats, Floats]  # slot, t, point, normal
+# slot, t, point, normal; where there are meshes, a row of `room_for_triangles`, too
+BoxHit = tuple[int, float, Floats, Floats] | tuple[int, float, Floats, Floats, Floats]
 
 
 class CastWorld(NamedTuple):
@@ -163,6 +165,49 @@ def scratch_in(memory, ndim):
     ray, box = memory[: RAY_ROWS * ndim], memory[RAY_FLOATS : RAY_FLOATS + 2 * ndim]
     work = memory[RAY_FLOATS + 6 : SCRATCH]
     return Scratch(ray.reshape(RAY_ROWS, ndim), box.reshape(2, ndim), work.reshape(5, 3))
+
+
+# ---- The triangle of a mesh that a thin ray meets: its row in the mesh as given, -1 for any other
+# hit, and u and v, NaN then.
+
+
+def room_for_triangles(shapes: tuple[Any, Any], count: int) -> Floats | None:
+    """Where kernels write the triangles (count, 3) that rays meet; shapes as of `Columns.shapes`.
+    None where there are no meshes in space: what is None is not compiled.
+    """
+    solid = shapes[0]
+    return None if solid is None or solid[1] is None else np.empty((count, 3))
+
+
+@chosen_by_types
+def triangles_in(shapes, rows):
+    """Rows as `room_for_triangles`, or None."""
+    solid = shapes[0]
+    has_meshes = not (isinstance(solid, types.NoneType) or isinstance(solid[1], types.NoneType))
+    return _rows_themselves if has_meshes else _no_rows
+
+
+def _rows_themselves(shapes, rows):
+    return rows
+
+
+def _no_rows(shapes, rows):
+    return None
+
+
+@inlined
+def triangle_of(triangles, row):
+    """A row of `room_for_triangles`, or None."""
+    if triangles is None:
+        return None
+    return triangles[row]
+
+
+@lean_kernel
+def note_none(met):
+    """Write that no triangle is met."""
+    if met is not None:
+        met[0], met[1], met[2] = -1.0, np.nan, np.nan
 
 
 def too_long(start: Floats, goal: Floats) -> ValueError:

@@ -31,10 +31,22 @@ from ...tree.access import (
     set_ray,
 )
 from ...tree.compiler import inlined, lean_kernel, stack_array
-from ..results import NO_NODE, CastHits
+from ..results import NO_NODE, CastHits, cast_hits
 from ..shapes.shape import Floats
 from ..store import Columns
-from .arguments import SCRATCH, BoxHit, CastWorld, Rays, Sweep, code_for, scratch_in, too_long
+from .arguments import (
+    SCRATCH,
+    BoxHit,
+    CastWorld,
+    Rays,
+    Sweep,
+    code_for,
+    note_none,
+    scratch_in,
+    too_long,
+    triangle_of,
+    triangles_in,
+)
 from .exact_ball import cast_ball
 from .query import (
     AT,
@@ -73,6 +85,8 @@ class RowHits(NamedTuple):
     t: Any
     points: Any
     normals: Any
+    triangles: Any
+    """As of `room_for_triangles`."""
 
 
 NO_SLOTS = np.empty(0, np.int64)
@@ -142,8 +156,11 @@ def cast_rows(view, snapshot, shapes, node_handles, rays, place, memory, hits):
         hits.handles[row], hits.t[row] = NO_NODE, np.inf
         for axis in range(3):
             hits.points[row, axis], hits.normals[row, axis] = 0.0 if is_hit else np.nan, 0.0
-        if is_hit:
-            touch(world, scratch, radius, hit, hits.points[row], hits.normals[row])
+        met = triangle_of(hits.triangles, row)
+        if not is_hit:
+            note_none(met)
+        else:
+            touch(world, scratch, radius, hit, hits.points[row], hits.normals[row], met)
             hits.handles[row], hits.t[row] = node_handles[hit.slot], hit.t * length
             if ndim == 2:
                 hits.points[row, 2] = origin[2]
@@ -180,8 +197,8 @@ def cast_row(world, snapshot, node_handles, segment, query, scratch, memory):
 @lean_kernel
 def cast_segment(view, snapshot, shapes, node_handles, ends, ball, memory, place):
     """`cast_rows` of one row, ends = (start, goal), ball = (radius, mask, skip_inside): (slot, t),
-    and its point and normal as the rows of `place`. Instead of a slot NONE, NOT_FINITE, REFUSED,
-    or UNDECIDED, where the row is not done.
+    and its point and normal as the rows of `place`; where there are meshes, its triangle, too.
+    Instead of a slot NONE, NOT_FINITE, REFUSED, or UNDECIDED, where the row is not done.
     """
     (start, goal), (radius, mask, skip_inside) = ends, ball
     masks, slots = stack_array(1, np.uint32), stack_array(1, np.int64)
@@ -189,7 +206,8 @@ def cast_segment(view, snapshot, shapes, node_handles, ends, ball, memory, place
     t_max[0], masks[0], radii[0] = 1.0, mask, radius
     segment, ts = (start.reshape(1, 3), goal.reshape(1, 3)), stack_array(1, np.float64)
     rays = Rays(*segment, t_max, masks, only_with(memory, radii), True, skip_inside)
-    hits = RowHits(slots, stack_array(1, np.uint32), ts, place[:1], place[1:])
+    met = triangles_in(shapes, place[2:])
+    hits = RowHits(slots, stack_array(1, np.uint32), ts, place[:1], place[1:2], met)
     given = view, snapshot, shapes, node_handles, rays, (0, 1), memory, hits
     done = cast_rows(*given)[0]
     if done < 0:
@@ -222,7 +240,8 @@ def first_of_one(
     """The first hit of a thin ray, or ball, ends = (start, goal), shape (3,) each, ball = (radius,
     mask, skip_inside).
     """
-    place, shapes, handles = np.empty((2, 3)), columns.shapes, columns.node_handle
+    shapes, handles = columns.shapes, columns.node_handle
+    place = np.empty((columns.rows_of_hit, 3))
     room = memory.rows if ball[0] > 0.0 else None
     view, snapshot = tree.ready_snapshot() or (tree.view(), no_snapshot(tree.ndim))
     given = view, snapshot, shapes, handles, ends, ball, room, place
@@ -239,7 +258,7 @@ def first_of_one(
         for hit in cast_ball(tree, columns, Sweep(start, goal - start, *ball, False)):
             return hit
         return None
-    return None if slot == NONE else (slot, t, place[0], place[1])
+    return None if slot == NONE else (slot, t, *place)
 
 
 def first_hits(tree: OpenTree, columns: Columns, rays: Rays, threads: int = 1) -> CastHits | None:
@@ -247,7 +266,8 @@ def first_hits(tree: OpenTree, columns: Columns, rays: Rays, threads: int = 1) -
     count, shapes, begun = len(rays.origins), columns.shapes, 0
     parts = np.empty(count, UINT32), np.empty(count), np.empty((count, 3)), np.empty((count, 3))
     # As RowHits(...), which would take one more call of a function of Python's.
-    hits = tuple.__new__(RowHits, (NO_SLOTS, *parts))
+    triangles = None if columns.rows_of_hit == 2 else np.empty((count, 3))
+    hits = tuple.__new__(RowHits, (NO_SLOTS, *parts, triangles))
     room = None if rays.radii is None else memory.rows
     ready = tree.ready_snapshot() if threads == 1 else None
     view, snapshot = ready or tree_and_snapshot(tree, count)
@@ -255,15 +275,17 @@ def first_hits(tree: OpenTree, columns: Columns, rays: Rays, threads: int = 1) -
     if threads == 1:  # without what others take: a tenth of a call of a row
         every = view, snapshot, shapes, handles, rays, (0, count), room, hits
         begun, _, version = code_for(cast_rows, shapes, every, room is None)(*every)
-        if begun == count:
+        if begun == count and triangles is None:
             return tuple.__new__(CastHits, parts)
+        if begun == count:
+            return cast_hits(parts, triangles)
         if begun < 0:
             begun, (view, snapshot) = 0, tree_and_snapshot(tree, count)
         else:
             view = View(view.tree, version)
     work = partial(_work, tree, columns, (view, snapshot, shapes, handles, rays), hits)
     done = [work(begun, count)] if threads == 1 else in_threads(work, count, threads)
-    return tuple.__new__(CastHits, parts) if all(done) else None
+    return cast_hits(parts, triangles) if all(done) else None
 
 
 def _work(
@@ -294,6 +316,6 @@ def _answer_exactly(tree: OpenTree, columns: Columns, rays: Rays, hits: RowHits,
     )
     direction = direction - origin if rays.to_goals else direction * t_max
     sweep = Sweep(origin, direction, radius.item(), mask, rays.skip_inside, False)
-    for slot, t, point, normal in cast_ball(tree, columns, sweep):
+    for slot, t, point, normal, *_ in cast_ball(tree, columns, sweep):
         hits.handles[row] = columns.node_handle[slot]
         hits.t[row], hits.points[row], hits.normals[row] = t * t_max, point, normal

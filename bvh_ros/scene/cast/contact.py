@@ -12,13 +12,15 @@ import math
 import numpy as np
 
 from ...tree.access import DIRECTION, INSIDE, ORIGIN, intersect_exact
-from ...tree.compiler import lean_kernel
+from ...tree.compiler import lean_kernel, stack_array
 from ..distance.gjk import dot
 from ..distance.narrow_phase import closest_on_mesh
 from ..shapes.footprint import FACE, ROUND
-from ..shapes.hull import form_of
+from ..shapes.hull import form_of, surface_of
 from ..shapes.mesh import CONVEX
 from ..shapes.shape import BOX, CAPSULE, CYLINDER, MESH, SPHERE, length, rotate, scale_of
+from ..shapes.surface import coordinates_in
+from .arguments import note_none
 from .mesh import enter_mesh
 from .shapes import (
     COORDINATES,
@@ -149,8 +151,9 @@ def axis_point(shape, scale, z):
 
 
 @lean_kernel
-def contact(shape, hulls, pair, hit, radius, work, point, normal):
-    """Fill in the obstacle's point that is met by a hit (t, feature), and the outward normal.
+def contact(shape, hulls, pair, hit, radius, work, point, normal, met):
+    """Fill in the obstacle's point that is met by a hit (t, feature), the outward normal, and the
+    triangle, see `arguments.room_for_triangles`.
 
     The normal of a ball is zero where its centre is in the obstacle, or no farther from it than
     rounding: there it would be noise.
@@ -180,6 +183,8 @@ def contact(shape, hulls, pair, hit, radius, work, point, normal):
             outward[0] = outward[1] = outward[2] = 0.0
     elif feature != INSIDE:
         face_normal(shape, hulls, lo, hi, feature, scale, work)
+    if met is not None:
+        note_triangle(shape, hulls, feature, scale, closest, met)
     to_world(shape, scale, closest, outward, point, normal)
     if feature == INSIDE and length(normal) == 0.0:
         for axis in range(3):
@@ -208,6 +213,20 @@ def face_normal(shape, hulls, lo, hi, feature, scale, work):
             closest[feature] = outward[feature] * (shape.half[feature] * scale)
         else:
             closest[feature] = lo[feature] if direction[feature] > 0.0 else hi[feature]
+
+
+@lean_kernel
+def note_triangle(shape, hulls, feature, scale, closest, met):
+    """Fill in row, u and v of the triangle by which a thin ray enters a mesh, `closest` being the
+    point that it meets.
+    """
+    note_none(met)
+    if feature >= FACE:
+        surface, face, place = surface_of(hulls, shape), feature - FACE, stack_array(3, np.float64)
+        for axis in range(3):
+            place[axis] = closest[axis] / scale
+        met[0] = hulls.rows[hulls.spans[shape.mesh].faces[0] + face]
+        met[1], met[2] = coordinates_in(surface.vertices, surface.corners[face], place)
 
 
 @lean_kernel

@@ -51,9 +51,9 @@ from .query import (
     Hit,
     Query,
     candidates,
+    described,
     slack_of,
     touch,
-    touch_rows,
 )
 
 # ---- the exact time of contact
@@ -194,7 +194,7 @@ def find_candidates(world, segment, query, room, place):
         sure = (room.features[EARLY, 0] == INSIDE) == (room.features[LATE, 0] == INSIDE)
     if sure:
         hit = Hit(room.slots[0], room.times[AT, 0], room.features[AT, 0])
-        touch(world, scratch, query.radius, hit, place[0], place[1])
+        touch(world, scratch, query.radius, hit, place[0], place[1], None)
     return count, sure
 
 
@@ -230,13 +230,9 @@ def cast_ball(
         slots, ts, features = slots[outside], ts[outside], features[outside]
     if not every:
         slots, ts, features = slots[:1], ts[:1], features[:1]
-    points, normals = np.zeros((len(slots), 3)), np.zeros((len(slots), 3))
     # Of one type, however many there are: rows of one column are contiguous, others are not.
     hits = Hits(slots, np.ascontiguousarray(ts), np.ascontiguousarray(features))
-    call(touch_rows, world, segment, radius, hits, points, normals)
-    if ndim == 2:
-        points[:, 2] = origin[2]
-    return zip(slots.tolist(), ts.tolist(), points, normals, strict=True)
+    return described(world, segment, radius, hits, origin)
 
 
 def _in_order(columns: Columns, found: Candidates, sweep: Sweep) -> Hits:

@@ -60,7 +60,19 @@ from ...tree.motion.access import (
 from ..results import NO_NODE, require_few
 from ..shapes.shape import Floats
 from ..store import Obstacles, most_growth
-from .arguments import SCRATCH, BoxHit, CastWorld, Sweep, code_for, scratch_in, too_long
+from .arguments import (
+    SCRATCH,
+    BoxHit,
+    CastWorld,
+    Sweep,
+    code_for,
+    note_none,
+    room_for_triangles,
+    scratch_in,
+    too_long,
+    triangle_of,
+    triangles_in,
+)
 from .batch import RowHits
 from .boxes import segment_between
 from .query import Hit, enter_obstacle, is_plain_box, no_hit, touch, walk_nodes
@@ -326,10 +338,13 @@ def write_first_hit(cast, i, course, first, hits):
     hits.handles[i] = cast.node_handles[slot] if is_hit else NO_NODE
     for axis in range(3):
         point[axis], normal[axis] = 0.0 if is_hit else np.nan, 0.0
+    met = triangle_of(hits.triangles, i)
+    if is_hit and not by_box:
+        _touch_moving(cast, i, other, stopped, point, normal, met)
+        return
+    note_none(met)
     if by_box:
         _locate_box(cast, i, course, box, point, normal)
-    elif is_hit:
-        _touch_moving(cast, i, other, stopped, point, normal)
 
 
 @inlined
@@ -340,8 +355,8 @@ def _locate_box(cast, i, course, hit, point, normal):
 
 
 @lean_kernel
-def _touch_moving(cast, i, hit, stopped, point, normal):
-    """Fill in where an obstacle is met that was decided in its own frame."""
+def _touch_moving(cast, i, hit, stopped, point, normal, met):
+    """Fill in where an obstacle is met that was decided in its own frame; met as of `touch`."""
     rays, moving, scratch = cast.rays, cast.moving, cast.scratch
     box, at = box_of(cast.tree, moving, hit.slot), of_row(rays.at, i)
     grown, center = growth_of(rays, i, box), rays.origins[i]
@@ -351,7 +366,7 @@ def _touch_moving(cast, i, hit, stopped, point, normal):
         ray_in_stopped_frame(rays, i, box, moving.left, scratch.ray)
     else:
         ray_in_obstacle_frame(rays, i, box, moving.nanoseconds, scratch.ray)
-    touch(cast.world, scratch, of_row(rays.radii, i) + grown, hit, point, normal)
+    touch(cast.world, scratch, of_row(rays.radii, i) + grown, hit, point, normal, met)
     for axis in range(box[2].shape[0]):
         point[axis] += box[2][axis] * since
     for axis in range(3):
@@ -425,7 +440,8 @@ def first_segment(tree, moving, shapes, ends, ball, when, node_handles, place):
         *(numbers[1], numbers[3], numbers[4], numbers[2], rate, skip_inside),
     )
     slots, ts = stack_array(1, np.int64), stack_array(1, np.float64)
-    hits = RowHits(slots, stack_array(1, np.uint32), ts, place[:1], place[1:])
+    met = triangles_in(shapes, place[2:])
+    hits = RowHits(slots, stack_array(1, np.uint32), ts, place[:1], place[1:2], met)
     why = first_rows(shapes, tree, moving, rays, node_handles, hits)
     return (slots[0] if why == 0 else why), ts[0]
 
@@ -449,9 +465,9 @@ def every_hit_at(shapes, tree, moving, rays, node_handles, hits):
 
 
 @lean_kernel
-def describe_every_hit(shapes, tree, moving, rays, boxes, hits, points, normals):
-    """Fill in the points and normals of hits. The first `boxes` of them are EXACT_BOX, sorted by
-    t and handle: bring these into exact order; each t becomes the largest up to it.
+def describe_every_hit(shapes, tree, moving, rays, boxes, hits, points, normals, triangles):
+    """Fill in the points, normals and triangles of hits. The first `boxes` of them are EXACT_BOX,
+    sorted by t and handle: bring these into exact order; each t becomes the largest up to it.
     """
     scratch = scratch_in(stack_array(SCRATCH, np.float64), rays.origins.shape[1])
     cast = cast_of(shapes, tree, moving, rays, 0, scratch)
@@ -459,10 +475,12 @@ def describe_every_hit(shapes, tree, moving, rays, boxes, hits, points, normals)
     sort_hits_at(tree, moving, course, Found(hits.slots, hits.ts, hits.features), boxes)
     for j in range(hits.slots.shape[0]):
         hit = Hit(hits.slots[j], hits.ts[j], hits.features[j])
+        met, stopped = triangle_of(triangles, j), hits.kinds[j] == STOPPED
         if j < boxes:
+            note_none(met)
             _locate_box(cast, 0, course, hit, points[j], normals[j])
         else:
-            _touch_moving(cast, 0, hit, hits.kinds[j] == STOPPED, points[j], normals[j])
+            _touch_moving(cast, 0, hit, stopped, points[j], normals[j], met)
 
 
 # ---- one ray
@@ -477,12 +495,13 @@ def first_of_one(
     """The first hit of a thin ray, or ball, ends = (start, goal), shape (3,) each, ball = (radius,
     mask, skip_inside), when = (at, pace).
     """
-    tree, columns, place = store.tree, store.columns, np.empty((2, 3))
+    tree, columns = store.tree, store.columns
     given: tuple[Any, ...]
     if ball[0] == 0.0 and not (columns.shaped or store.uncertainty):
+        place = np.empty((2, 3))
         code, given = _box_entry(tree.ndim), (*ends, *ball[1:], when, place)
     else:
-        grown = 0.0
+        grown, place = 0.0, np.empty((columns.rows_of_hit, 3))
         if store.uncertainty:
             at = np.array([when[0]])
             grown = float(np.max(most_growth(store, at, at + when[1])))
@@ -495,7 +514,7 @@ def first_of_one(
         raise too_long(*ends)
     if tree.ndim == 2:
         place[0, 2] = ends[0][2]
-    return None if slot == NONE else (slot, t, place[0], place[1])
+    return None if slot == NONE else (slot, t, *place)
 
 
 def cast_every(
@@ -531,8 +550,9 @@ def cast_every(
     order = np.lexsort((columns.tree_handle[hits.slots], hits.ts, ~exact))
     hits, boxes = EveryHit(*(column[order] for column in hits)), int(exact.sum())
     points, normals = np.zeros((count, 3)), np.zeros((count, 3))
+    triangles = room_for_triangles(shapes, count)
     known = motion.known(begun, 0.0, 0.0)
-    given = shapes, begun.tree, known, rays, boxes, hits, points, normals
+    given = shapes, begun.tree, known, rays, boxes, hits, points, normals, triangles
     code_for(describe_every_hit, shapes, given)(*given)
     tree.check_unchanged(begun)
     if ndim == 2:
@@ -540,10 +560,9 @@ def cast_every(
     order = np.lexsort((columns.node_handle[hits.slots], hits.ts))
     # Boxes are in exact order, which their t, as doubles, may not tell: they keep it.
     order[order < boxes] = np.arange(boxes)
-    return zip(
-        *(hits.slots[order].tolist(), hits.ts[order].tolist(), points[order], normals[order]),
-        strict=True,
-    )
+    found: list[Any] = [hits.slots[order].tolist(), hits.ts[order].tolist()]
+    rows = points, normals, *(() if triangles is None else (triangles,))
+    return zip(*found, *(column[order] for column in rows), strict=True)
 
 
 _POINT = np.empty(3)

@@ -76,10 +76,19 @@ from ...tree.motion.access import (
     start_in_drift_frame,
     times_of,
 )
-from ..results import NO_NODE, CastHits
+from ..results import NO_NODE, CastHits, cast_hits, joined_hits
 from ..shapes.shape import along_axes
 from ..store import EXACT, Obstacles, most_growth
-from .arguments import SCRATCH, Hits, Rays, code_for, fill_directions, refuse_infinite, scratch_in
+from .arguments import (
+    SCRATCH,
+    Hits,
+    Rays,
+    code_for,
+    fill_directions,
+    refuse_infinite,
+    room_for_triangles,
+    scratch_in,
+)
 from .batch import RowHits
 from .motion import (
     BOXES_ONLY,
@@ -432,9 +441,7 @@ def first_hits(store: Obstacles, rays: Rays, times: Times, threads: int) -> Cast
         return _some_hits(store, view, sweep, part, when, boxes)
 
     parts = in_threads(work, count, threads, 1 if sweep is None else 2 * RAYS_AT_ONCE)
-    if len(parts) == 1:
-        return parts[0]
-    return CastHits(*(np.concatenate(column) for column in zip(*parts, strict=True)))
+    return parts[0] if len(parts) == 1 else joined_hits(parts)
 
 
 def _few_boxes(
@@ -465,7 +472,9 @@ def _some_hits(
     else:
         parts = np.empty(count, INT64), np.empty(count, UINT32), np.empty(count)
         # As RowHits(...), which would take one more call of a function of Python's.
-        hits = tuple.__new__(RowHits, (*parts, np.empty((count, 3)), np.empty((count, 3))))
+        places = np.empty((count, 3)), np.empty((count, 3))
+        triangles = None if boxes else room_for_triangles(store.columns.shapes, count)
+        hits = tuple.__new__(RowHits, (*parts, *places, triangles))
         stream = _stream_boxes if boxes else _stream_shapes
         if accepted(stream(store, view.tree, sweep, rays, times, hits)):
             refuse_infinite(given)
@@ -473,11 +482,12 @@ def _some_hits(
             some, when = rows_of(rays, count, rows), rows_of(times, count, rows)
             others = _by_nodes(store, some, when, boxes)
             for column, part in zip(hits, others, strict=True):
-                column[rows] = part
+                if column is not None:
+                    column[rows] = part
     if planar:
         hit = hits.handles != NO_NODE
         hits.points[hit, 2] = given.origins[hit, 2]
-    return tuple.__new__(CastHits, hits[1:])
+    return cast_hits(hits[1:5], hits.triangles)
 
 
 def _stream_boxes(
@@ -516,8 +526,9 @@ def _by_nodes(store: Obstacles, rays: Rays, times: Times, boxes: bool) -> RowHit
     if rays.to_goals:
         rays = rays._replace(directions=rays.directions - rays.origins)
     parts = np.empty(count, INT64), np.empty(count, UINT32), np.empty(count)
-    hits = RowHits(*parts, np.empty((count, 3)), np.empty((count, 3)))
     shapes = BOXES_ONLY if boxes else store.columns.shapes
+    places = np.empty((count, 3)), np.empty((count, 3))
+    hits = RowHits(*parts, *places, room_for_triangles(shapes, count))
     handles = store.columns.node_handle
     query = _timed(store, rays, at, pace, times)
 
@@ -548,5 +559,5 @@ _few_entry = entry_points(
 )
 _boxes_entry = entry_points(
     *(stream_boxes, no_sweep, NO_RAYS, False, _NO_IDS, lambda ndim: make_scratch(0, ndim, 0)),
-    RowHits(_NO_IDS, np.empty(0, np.uint32), _ROW, _ROWS, _ROWS),
+    RowHits(_NO_IDS, np.empty(0, np.uint32), _ROW, _ROWS, _ROWS, None),
 )

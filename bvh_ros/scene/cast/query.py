@@ -45,9 +45,20 @@ from ...tree.access import (
 from ...tree.compiler import inlined, lean_kernel, stack_array
 from ..results import require_few
 from ..shapes.footprint import ROUND
-from ..shapes.shape import LARGE, SMALL
+from ..shapes.shape import LARGE, SMALL, Floats
 from ..store import Columns
-from .arguments import SCRATCH, BoxHit, Hits, Sweep, call, scratch_in, world_of
+from .arguments import (
+    SCRATCH,
+    BoxHit,
+    CastWorld,
+    Hits,
+    Sweep,
+    call,
+    room_for_triangles,
+    scratch_in,
+    triangle_of,
+    world_of,
+)
 from .contact import contact, enter_shape
 from .footprint import enter_footprint, touch_footprint
 from .shapes import COORDINATES, FRAME_SLACK, RayAndBox, enter_rounded_boxes, point_along, time_of
@@ -144,19 +155,21 @@ def enter_any(geometry, footprints, slot, pair, radius, t_max, work):
 
 
 @lean_kernel
-def touch(world, scratch, radius, hit, point, normal):
-    """Fill in where a ray or ball meets an obstacle, and the outward normal there."""
+def touch(world, scratch, radius, hit, point, normal, met):
+    """Fill in where a ray or ball meets an obstacle, the outward normal there, and the triangle, a
+    row of `room_for_triangles`, or None.
+    """
     lo, hi = leaf_box(world.nodes, world.tight, 2 * hit.slot)
     pair, out = RayAndBox(scratch.ray, lo, hi), (point, normal)
     at = hit.t, hit.feature
-    touch_any(world.geometry, world.footprints, hit.slot, pair, at, radius, scratch.work, out)
+    touch_any(world.geometry, world.footprints, hit.slot, pair, at, radius, scratch.work, out, met)
 
 
 @lean_kernel
-def touch_any(geometry, footprints, slot, pair, hit, radius, work, out):
+def touch_any(geometry, footprints, slot, pair, hit, radius, work, out, met):
     point, normal = out
     if geometry is not None:
-        contact(geometry[0][slot], geometry[1], pair, hit, radius, work, point, normal)
+        contact(geometry[0][slot], geometry[1], pair, hit, radius, work, point, normal, met)
     if footprints is not None:
         touch_footprint(footprints[0][slot], footprints[1], pair, hit, radius, work, point, normal)
 
@@ -548,13 +561,16 @@ def every_hit(world, segment, query, hits):
 
 
 @lean_kernel
-def touch_rows(world, segment, radius, hits, points, normals):
-    """Fill in where hits of a thin ray, or ball, meet their obstacles, and the normals there."""
+def touch_rows(world, segment, radius, hits, points, normals, triangles):
+    """Fill in where hits of a thin ray, or ball, meet their obstacles, the normals there, and the
+    triangles, of `room_for_triangles`.
+    """
     scratch = scratch_in(stack_array(SCRATCH, np.float64), segment[0].shape[0])
     set_ray(scratch.ray, *segment)
     for j in range(hits.slots.shape[0]):
         hit = Hit(hits.slots[j], hits.ts[j], hits.features[j])
-        touch(world, scratch, radius, hit, points[j], normals[j])
+        met = triangle_of(triangles, j)
+        touch(world, scratch, radius, hit, points[j], normals[j], met)
 
 
 def cast_every(
@@ -573,8 +589,18 @@ def cast_every(
     require_few(count, most)
     order = np.lexsort((columns.node_handle[hits.slots[:count]], hits.ts[:count]))
     hits = Hits(*(column[order] for column in hits))
+    return described(world, segment, 0.0, hits, sweep.origin)
+
+
+def described(
+    world: CastWorld, segment: tuple[Floats, Floats], radius: float, hits: Hits, origin: Floats
+) -> Iterable[BoxHit]:
+    """Hits of a thin ray, or ball, from an origin (3,), and where they are."""
+    count = len(hits.slots)
     points, normals = np.zeros((count, 3)), np.zeros((count, 3))
-    call(touch_rows, world, segment, 0.0, hits, points, normals)
-    if tree.ndim == 2:
-        points[:, 2] = sweep.origin[2]
-    return zip(hits.slots.tolist(), hits.ts.tolist(), points, normals, strict=True)
+    triangles = room_for_triangles((world.geometry, world.footprints), count)
+    call(touch_rows, world, segment, radius, hits, points, normals, triangles)
+    if world.footprints is not None:
+        points[:, 2] = origin[2]
+    columns = hits.slots.tolist(), hits.ts.tolist(), points, normals
+    return zip(*columns, *(() if triangles is None else (triangles,)), strict=True)

@@ -25,6 +25,7 @@ class Polygon:
 
     discs: ClassVar[Floats] = np.empty((0, NUMBERS, LANES))
     corners: ClassVar[NDArray[np.int32]] = np.empty((0, 3), np.int32)
+    rows: ClassVar[NDArray[np.int32]] = np.empty(0, np.int32)
     normals: ClassVar[Floats] = np.empty((0, 3))
     tree: ClassVar[tuple[NDArray[Any], int]] = (np.empty(0, node_dtype(3)), 0)
     radius: ClassVar[float] = 0.0

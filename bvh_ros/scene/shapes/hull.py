@@ -50,6 +50,8 @@ class Hulls(NamedTuple):
     """Of the meshes' trees, two a triangle."""
     seeds: Floats
     """A corner of each part of each mesh."""
+    rows: NDArray[np.int32]
+    """Of the triangles as given, one a triangle."""
 
 
 class AnyHulls(Hulls):
@@ -90,6 +92,7 @@ class _Joined:
             *(_Rows(np.empty((0, 3), np.int32)), _Rows(np.empty((0, 3)))),
             _Rows(np.empty(0, node_dtype(3))),
             _Rows(np.empty((0, 3))),
+            _Rows(np.empty(0, np.int32)),
         ]
         self._all_convex = True
 
@@ -107,12 +110,13 @@ class _Joined:
             mesh.normals,
             nodes,
             mesh.seeds,
+            mesh.rows,
         )
         places = [column.append(rows) for column, rows in zip(self._columns, given, strict=True)]
         span = self._spans[number]
         span['root'], span['radius'], span['form'] = root, mesh.radius, mesh.form
         span['vertices'], span['discs'], span['faces'] = places[:3]
-        span['seeds'] = places[-1]
+        span['seeds'] = places[5]
         self._all_convex = self._all_convex and mesh.form == CONVEX
 
     def hulls(self) -> Hulls:

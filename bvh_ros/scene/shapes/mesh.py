@@ -761,7 +761,7 @@ class Mesh:
         """(m, 3) unit normals of the triangles, outwards if the mesh is convex."""
         self.form = CONVEX if self.convex else SOLID if self.solid else SHELL
         """As kernels have it."""
-        self.key = digest(self.vertices, self.corners, np.array(self.form))
+        self.key = digest(self.vertices, self.corners, self.rows, np.array(self.form))
         """The same for equal meshes."""
         farthest = float(np.linalg.norm(self.vertices, axis=1).max())
         self.radius = math.ldexp(1.0, math.frexp(farthest)[1])

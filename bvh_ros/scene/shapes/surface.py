@@ -300,9 +300,40 @@ def _visit_first(surface, ray, face, zero, found):
     within = is_within(
         surface.vertices, corner, ray[ORIGIN], ray[DIRECTION], crossing, found.reach
     )
-    if within and (crossing.s < found.s or (crossing.s == found.s and face < found.face)):
-        found = First(crossing.s, face, found.reach)
-    return found, min(found.s, found.reach * (1.0 + CLOSE))
+    if within and crossing.s < np.inf:
+        s, nearer = crossing.s, crossing.s < found.s
+        if abs(s - found.s) <= CLOSE * s and share_place(surface, ray, face, found.face, zero):
+            # At one place: only rounding tells the two distances apart.
+            s, nearer = min(s, found.s), True
+            face = min(face, found.face)
+        if nearer or (s == found.s and face < found.face):
+            found = First(s, face, found.reach)
+    return found, min(found.s, found.reach) * (1.0 + CLOSE)
+
+
+@lean_kernel
+def share_place(surface, ray, one, other, zero):
+    """Whether a line crosses two triangles at an edge, or a corner, of both; or all three corners
+    are the same. False where it runs in the planes of both.
+    """
+    return lies_in(surface, ray, one, other, zero) or lies_in(surface, ray, other, one, zero)
+
+
+@lean_kernel
+def lies_in(surface, ray, face, other, zero):
+    """Whether the corners that the place of a crossing depends on are corners of another triangle,
+    too: the two ends where it is on an edge, one where it is at a corner.
+    """
+    vertices, corner, others = surface.vertices, surface.corners[face], surface.corners[other]
+    depends = False
+    for k in range(3):
+        number, first, second = corner[k], corner[(k + 1) % 3], corner[(k + 2) % 3]
+        if side(ray[ORIGIN], vertices[first], vertices[second], ray[DIRECTION], zero) == 0.0:
+            continue
+        if number != others[0] and number != others[1] and number != others[2]:
+            return False
+        depends = True
+    return depends
 
 
 @lean_kernel
@@ -368,15 +399,21 @@ def holds_point(surface, point):
 # ---- the closest point of a surface
 
 
+@inlined
+def share_along(start, end, point):
+    """Where the closest point of a segment is, from 0 at its start to 1 at its end."""
+    along, square = 0.0, 0.0
+    for axis in range(3):
+        step = end[axis] - start[axis]
+        along += (point[axis] - start[axis]) * step
+        square += step * step
+    return min(max(along / square, 0.0), 1.0) if square > 0.0 else 0.0
+
+
 @lean_kernel
 def closest_on_segment(a, b, point, out):
     """Fill in the closest point of the segment from a to b; return the squared distance."""
-    along, square, total = 0.0, 0.0, 0.0
-    for axis in range(3):
-        step = b[axis] - a[axis]
-        along += (point[axis] - a[axis]) * step
-        square += step * step
-    share = min(max(along / square, 0.0), 1.0) if square > 0.0 else 0.0
+    share, total = share_along(a, b, point), 0.0
     for axis in range(3):
         # From the nearer end: of a long edge that keeps its digits.
         if share <= 0.5:
@@ -426,6 +463,51 @@ def closest_on_triangle(vertices, corner, point, out):
                 for axis in range(3):
                     out[axis] = trial[axis]
     return best
+
+
+@lean_kernel
+def coordinates_in(vertices, corner, point):
+    """(u, v) of the point (1 - u - v) a + u b + v c of a triangle that is closest to a point at
+    it, up to rounding; u, v and u + v are from 0 to 1.
+
+    Of a sliver rounding leaves no area to divide by: the edges are looked at, too.
+    """
+    a, b, c = vertices[corner[0]], vertices[corner[1]], vertices[corner[2]]
+    normal, widest = stack_array(3, np.float64), 0
+    for axis in range(3):
+        y, z = (axis + 1) % 3, (axis + 2) % 3
+        normal[axis] = (b[y] - a[y]) * (c[z] - a[z]) - (b[z] - a[z]) * (c[y] - a[y])
+        if abs(normal[axis]) > abs(normal[widest]):
+            widest = axis
+    y, z, u, v, best = (widest + 1) % 3, (widest + 2) % 3, 0.0, 0.0, np.inf
+    if normal[widest] != 0.0:
+        above, beside = point[y] - a[y], point[z] - a[z]
+        u = (above * (c[z] - a[z]) - beside * (c[y] - a[y])) / normal[widest]
+        v = ((b[y] - a[y]) * beside - (b[z] - a[z]) * above) / normal[widest]
+        if u >= 0.0 and v >= 0.0 and u + v <= 1.0:
+            best = gap_to(a, b, c, u, v, point)
+    for number in range(3):
+        start = a if number == 0 else (b if number == 1 else c)
+        end = b if number == 0 else (c if number == 1 else a)
+        share = share_along(start, end, point)
+        one, two = share, 0.0
+        if number == 1:
+            one, two = 1.0 - share, share
+        elif number == 2:
+            one, two = 0.0, 1.0 - share
+        gap = gap_to(a, b, c, one, two, point)
+        if gap < best:
+            best, u, v = gap, one, two
+    return u, v
+
+
+@inlined
+def gap_to(a, b, c, u, v, point):
+    """The squared distance of a point from that of a triangle with coordinates u and v."""
+    total = 0.0
+    for axis in range(3):
+        total += ((1.0 - u - v) * a[axis] + u * b[axis] + v * c[axis] - point[axis]) ** 2
+    return total
 
 
 class NearestPoint(NamedTuple):

@@ -81,9 +81,40 @@ def test_meshes_that_are_not_convex(start_node, messages, meshes):
     world.until(lambda: world.names('nearest', point, point, tolerance=0.4) == ['a/1'])
     (pose,) = world.plan('nearest', point, point, tolerance=0.4).poses
     assert pose.pose.position.y == pytest.approx(0.8, abs=1e-6)
+    scene, queries = heard(world, 'scene'), heard(world, 'queries')
+    world.until(lambda: scene and len(scene[-1].markers) == 3)
+    shown = [xyz(marker.points).tolist() for marker in scene[-1].markers[1:]]
+    assert shown == [np.array(points).tolist(), np.array(SHEET, float).tolist()]
+    world.until(lambda: world.node.count_publishers(f'{world.name}/queries') == 1)
+
+    def lines_to_the_sheet():
+        world.names('raycast', (-3, 0.2, 0.5), (5, 0.2, 0.5))
+        return queries and [m for m in queries[-1].markers if len(m.points) == 2 * 4]
+
+    world.until(lines_to_the_sheet)
+    (lines,) = lines_to_the_sheet()
+    ends = xyz(lines.points).reshape(-1, 2, 3)
+    assert ends[0].tolist() == [[-3, 0.2, 0.5], [5, 0.2, 0.5]]
+    a, b, c = np.array(SHEET[:3], float)
+    np.testing.assert_allclose(ends[1:], [(a, b), (b, c), (c, a)], atol=1e-12)
     channel.pose.position.x = 25.0
     world.markers(channel)
     world.until(lambda: world.names('raycast', (25, 0.9, 9), (25, 0.9, 0)) == ['a/1'])
+
+
+def heard(world, topic):
+    """The MarkerArrays of a topic, as they come."""
+    from rclpy.qos import DurabilityPolicy, QoSProfile
+    from visualization_msgs.msg import MarkerArray
+
+    found = []
+    qos = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+    world.node.create_subscription(MarkerArray, f'{world.name}/{topic}', found.append, qos)
+    return found
+
+
+def xyz(points):
+    return np.array([(point.x, point.y, point.z) for point in points])
 
 
 def corners_of_box(lo, hi):

@@ -14,8 +14,8 @@ from visualization_msgs.msg import Marker, MarkerArray
 
 from bvh_ros.ros.cdr.drawing import Drawing, marker_array
 from bvh_ros.ros.conversions import outlines
-from bvh_ros.ros.parts.drawing import obstacles
-from bvh_ros.scene import ShapeKind, Shapes
+from bvh_ros.ros.parts.drawing import obstacles, with_few_triangles
+from bvh_ros.scene import Mesh, NodeScene, ShapeKind, Shapes
 from bvh_ros.tree import DynamicBVH
 
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
@@ -109,6 +109,52 @@ def test_round_shapes_and_what_is_none_of_the_three():
         (Marker.TRIANGLE_LIST, 1),
     ]
     assert ShapeKind(3).name == 'CAPSULE'
+
+
+# A folded sheet of two triangles, away from the origin of its frame.
+FOLD = np.array([[(3, 0, 0), (4, 0, 0), (4, 1, 1)], [(3, 0, 0), (4, 1, 1), (3, 1, 0)]], float)
+
+
+def folds(count):
+    """(canonical shapes of so many turned sheets, their triangles)"""
+    turns, places = Rotation.random(count, random_state=4), RNG.uniform(-9, 9, (count, 3))
+    scene = NodeScene()
+    shapes = Shapes.of_meshes(Mesh(FOLD), places, turns.as_quat())
+    scene.update('us', [f'{k:03}' for k in range(count)], shapes, stamp=0)
+    corners = [turn.apply(FOLD.reshape(-1, 3)) for turn in turns] + places[:, None]
+    return scene.shapes_of('us', count), corners
+
+
+def test_meshes_are_drawn_as_they_are():
+    shapes, corners = folds(510)
+    drawn = list(obstacles(shapes, 'a', [1, 1, 1, 1]))
+    assert [number for _, number in drawn] == [1] * 500 + [10]
+    assert {drawing.kind for drawing, _ in drawn} == {Marker.TRIANGLE_LIST}
+    shown = np.vstack([drawing.points for drawing, _ in drawn])
+    np.testing.assert_allclose(shown, corners.reshape(-1, 3), atol=1e-12)
+
+
+def test_of_too_many_triangles_the_last_meshes_become_the_boxes_around_them():
+    shapes, corners = folds(9)
+    assert with_few_triangles(shapes, 18) == (shapes, 0)
+    some, boxed = with_few_triangles(shapes, 11)
+    assert boxed == 4
+    assert some.kind.tolist() == [ShapeKind.MESH] * 5 + [ShapeKind.BOX] * 4
+    boxes, meshes = obstacles(some, 'a', [1, 1, 1, 1]), corners[:5].reshape(-1, 3)
+    (box, count), *others = boxes
+    assert (count, len(others)) == (4, 5)
+    np.testing.assert_allclose(np.vstack([one.points for one, _ in others]), meshes, atol=1e-12)
+    around = box.points.reshape(4, 36, 3)
+    for places, mesh in zip(around, corners[5:], strict=True):
+        middle = 0.5 * (places[0] + places[FARTHEST])
+        axes = places[list(EDGES)] - places[0]
+        shares = (mesh - middle) @ (axes / (axes**2).sum(axis=1, keepdims=True)).T
+        np.testing.assert_allclose(np.abs(shares).max(axis=0), 0.5, atol=1e-12)
+
+
+# Where, among the corners of a box's triangles, is that with all upper coordinates, and those with
+# one.
+FARTHEST, *EDGES = (list(outlines.TRIANGLES).index(corner) for corner in (7, 1, 2, 4))
 
 
 @pytest.mark.parametrize('ndim', [2, 3])
