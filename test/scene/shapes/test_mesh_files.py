@@ -412,3 +412,29 @@ def test_the_file_is_a_program_that_reads_one():
         mesh_file.REFUSED,
         b'the file has more than 99 bytes',
     )
+
+
+EATS = """
+import runpy, sys
+reader = runpy.run_path(sys.argv.pop(1))
+reader['main'].__globals__['MOST_MEMORY'] = 2**30
+sys.exit(reader['main']())
+"""
+
+
+def test_a_file_that_grows_without_end_ends_the_program_alone(trimesh):
+    """Each of 40 nodes holds the next one twice."""
+    two = '<instance_node url="#m{0}"/>' * 2
+    nodes = ''.join(f'<node id="m{k}">{two.format(k + 1)}</node>' for k in range(40))
+    nodes += '<node id="m40"><instance_geometry url="#g"/></node>'
+    data = dae(scene=two.format(0), nodes=f'<library_nodes>{nodes}</library_nodes>')
+    done = subprocess.run(
+        [sys.executable, '-c', EATS, mesh_file.__file__, 'dae', '9', '99999'],
+        input=data,
+        capture_output=True,
+    )
+    assert (done.returncode, done.stdout) == (
+        mesh_file.REFUSED,
+        b'it takes too much memory to read',
+    )
+    del trimesh
