@@ -3,7 +3,7 @@
 """Methods of answering, measured by error and run time, in a table and a picture."""
 
 from collections.abc import Callable, Mapping, Sequence
-from string import ascii_uppercase
+from string import ascii_lowercase, ascii_uppercase
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -34,8 +34,11 @@ COLOURS = {
     **{f'{rate} Hz, predicted': SKY for rate in RATES},
     'sweep between two poses': BLUE,
     'poses on the way': PURPLE,
+    'float64 watertight': RED,
+    'convex hull of the mesh': ORANGE,
+    'Embree 4, float32': PINK,
 }
-LETTERS = dict(zip(COLOURS, ascii_uppercase, strict=False))
+LETTERS = dict(zip(COLOURS, ascii_uppercase + ascii_lowercase, strict=False))
 
 
 class Method(NamedTuple):
