@@ -95,7 +95,7 @@ def search(scene, sofa):
 
 
 def draw(file, path):
-    """The way from above: the sofa at each cell, from blue to red."""
+    """The way from above: the sofa at each cell, from dark to light."""
     from matplotlib import colormaps
     from matplotlib.figure import Figure
     from matplotlib.patches import Polygon, Rectangle
@@ -110,7 +110,7 @@ def draw(file, path):
     places, _ = poses(path)
     for k, (place, yaw) in enumerate(zip(places, YAWS[path[:, 2]], strict=True)):
         turn = np.array(((np.cos(yaw), np.sin(yaw)), (-np.sin(yaw), np.cos(yaw))))
-        colour = colormaps['coolwarm'](k / (len(path) - 1))
+        colour = colormaps['viridis'](k / (len(path) - 1))
         axis.add_patch(Polygon(outline @ turn + place[:2], fill=False, ec=colour, lw=1.2))
     axis.set(
         aspect='equal', xlim=(-1.9, 1.9), ylim=(-1.3, 1.3), xlabel='x, m', ylabel='y, m',
@@ -142,7 +142,9 @@ def main():
         scene = Scene()
         scene.update('plan', ['wall'], Shapes.of_meshes([post], [[0.0, 0.0, 0.0]]))
         shape = Shapes.of_meshes([load], [[0.0, 0.0, 0.0]])
-        scene.sweep_shape_many(shape, *poses(np.zeros((2, 3), int)), [[-2.0, 0.0, 0.0]])
+        two = np.eye(2, 3, dtype=int)  # what they need is compiled or loaded
+        scene.sweep_shape_many(shape, *poses(two[:1]), *poses(two[1:]), want='any')
+        scene.overlap_shape_many(shape, *poses(two))
         began = time.perf_counter()
         path, count = search(scene, shape)
         took = time.perf_counter() - began

@@ -59,7 +59,10 @@ def _rays(cells: np.ndarray, edge: int, count: int, rng: np.random.Generator) ->
     targets = cells[rng.integers(0, len(cells), count)] + rng.integers(0, 2, (count, 3))
     origins = (targets - 2 * edge * steps) * CELL
     simple = rng.random((count, 1)) < 0.5
-    return Rays(origins, np.where(simple, steps.astype(np.float64), targets * CELL - origins))
+    return Rays(
+        origins.astype(np.float64),
+        np.where(simple, steps.astype(np.float64), targets * CELL - origins),
+    )
 
 
 def _methods(triangles: Floats, rays: Rays) -> dict[str, Method]:
