@@ -402,9 +402,9 @@ UP_ULP = math.nextafter(1.0, 2.0)
 MESH_RAYS: tuple[tuple[str, float, Vector, Vector], ...] = (
     ('at the inner corner', 1.0, (3, 3, 0.5), (-1, -1, 0)),
     ('along the inner edge', 1.0, (1, 1, 3), (0, 0, -1)),
-    ('through a corner only', 1.0, (1, 3, 2), (1, -1, -1)),
-    ('through an edge only', 1.0, (3, -1, 0.5), (-1, -1, 0)),
-    ('beside that edge by an ulp', 1.0, (3 * UP_ULP, -1, 0.5), (-1, -1, 0)),
+    ('through a corner only', 1.0, (1, 2, 2), (1, -1, -1)),
+    ('through an edge only', 1.0, (3, 1, 0.5), (-1, -1, 0)),
+    ('beside that edge by an ulp', 1.0, (3 * UP_ULP, 1, 0.5), (-1, -1, 0)),
     ('in the plane of a face', 1.0, (0.25, -3, 1), (0, 1, 0)),
     ('in it, zeros of either sign', 1.0, (-1, 0.5, 0.0), (1, -0.0, 0.0)),
     ('an ulp above it', 1.0, (0.25, -3, UP_ULP), (0, 1, 0)),
