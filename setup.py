@@ -18,6 +18,7 @@ ROS = [
 ]
 BAGS = ['rosbags>=0.10']
 REPORT = ['matplotlib>=3.7', 'tqdm>=4.60']
+MESHES = ['trimesh>=4.6', 'pycollada>=0.8']
 VIEW = ['viser>=1.1,<2']
 PEERS = ['embreex>=4.4', 'coal>=3.0', *FCL, 'rapier3d']
 CLUSTER = ['dask[array]>=2024.8', 'distributed>=2024.8']
@@ -32,6 +33,7 @@ TEST = [
     *BAGS,
     *REPORT,
     *VIEW,
+    *MESHES,
     *CLUSTER,
     'selenium>=4.20',
 ]
@@ -61,6 +63,7 @@ setup(
         'report': REPORT,
         'peers': PEERS,
         'view': VIEW,
+        'meshes': MESHES,
         'cluster': CLUSTER,
         'docs': DOCS,
         'test': TEST,

@@ -79,6 +79,8 @@ LACKING = [
     ('', '/none/a.png cannot be written: ', 'predicted_traffic.py --plot /none/a.png'),
     ('', '/none/a.png cannot be written: ', 'sampling_planner.py --picture /none/a.png'),
     ('', '/none/a.png cannot be written: ', 'load_through_a_door.py --picture /none/a.png'),
+    ('', '/none/a.png cannot be written: ', 'sofa_through_a_doorway.py --picture /none/a.png'),
+    ('matplotlib', 'a picture needs matplotlib: ', 'sofa_through_a_doorway.py --picture a.png'),
 ]
 
 
@@ -107,6 +109,19 @@ def test_a_load_through_a_door(tmp_path):
     _, poses, ways, _ = run('load_through_a_door.py', '--picture', str(picture)).splitlines()
     assert not poses.endswith('; 0 of them hit a wall')
     assert ways.endswith('; 0 of them hit a wall')
+    assert picture.stat().st_size > 10_000
+
+
+@pytest.mark.slow
+def test_a_sofa_through_a_doorway(tmp_path):
+    picture = tmp_path / 'sofa.png'
+    said = run('sofa_through_a_doorway.py', '--picture', str(picture)).splitlines()
+    assert said[0].startswith('A sofa of 0.90 x 0.85 m, on its end, is driven through a door of')
+    assert said[1].startswith('the wall: Mesh(solid of ')
+    assert said[2].startswith('the meshes: a way of ')
+    for line, hull in zip(said[3:5], ('sofa', 'wall'), strict=True):
+        assert line.startswith(f'the hull of the {hull}: no way; ')
+    assert said[-1].startswith('The sofa gets through the doorway: on the way it turns by ')
     assert picture.stat().st_size > 10_000
 
 

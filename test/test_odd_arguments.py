@@ -101,8 +101,10 @@ SHAPES: dict[str, dict[str, Any]] = {
 
 
 MESH: dict[str, dict[str, Any]] = {
-    '__init__': {'triangles': np.eye(3), 'faces': [[0, 1, 2]], 'solid': None}
-}
+    '__init__': {'triangles': np.eye(3), 'faces': [[0, 1, 2]], 'solid': None},
+    'from_file': {'path': 'tetrahedron.obj', 'scale': 1.0, 'solid': None, 'max_triangles': 9,
+                  'max_bytes': 99},
+}  # fmt: skip
 
 # What other rooms call, with what the tree or the scene gave them.
 INSIDE = {
@@ -116,9 +118,10 @@ ABSENT = {'handle', 'handles', 'ids', 'name'}  # of what there is none: KeyError
 FILES = {'path', 'folder'}  # where there is nothing to read, or to write: OSError
 # As many rows as memory can take: views of one number are left out.
 MANY = {'origins', 'points', 'centers', 'positions', 'starts', 'lo', 'position', 'size',
-        'orientation', 'rows'}  # fmt: skip
+        'orientation', 'rows', 'scale'}  # fmt: skip
 # What an error calls an argument by.
-SAYS = {'handles': 'handle', 'ids': 'id', 'chunks': 'chunk', 'triangles': 'triangle'}
+SAYS = {'handles': 'handle', 'ids': 'id', 'chunks': 'chunk', 'triangles': 'triangle',
+        'max_triangles': 'triangles', 'max_bytes': 'bytes'}  # fmt: skip
 
 
 def parameters(cls: type) -> dict[str, set[str]]:
@@ -246,12 +249,16 @@ def test_a_forest(tmp_path: Any, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.filterwarnings('ignore')
-def test_shapes_and_meshes() -> None:
+def test_shapes_and_meshes(tmp_path: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    corners, faces = ('0 0 0', '1 0 0', '0 1 0', '0 0 1'), ('1 2 3', '1 2 4', '1 3 4', '2 3 4')
+    lines = [f'v {one}' for one in corners] + [f'f {one}' for one in faces]
+    (tmp_path / 'tetrahedron.obj').write_text('\n'.join(lines))
     wrong = [
         complaints(method, good, lambda method=method: Shapes if method in MAKERS else FIVE)
         for method, good in SHAPES.items()
     ]
-    wrong.append(complaints('__init__', MESH['__init__'], lambda: Mesh))
+    wrong += [complaints(method, good, lambda: Mesh) for method, good in MESH.items()]
     assert not any(wrong), '\n'.join(map(str, wrong))
 
 

@@ -4,7 +4,7 @@
 
 What is expected is computed in rationals. A ray is cast one by one, in a batch and as a query
 whether it hits anything; a distance may be 2 ulp off. *float64 slab* is the usual test (numpy,
-0 * inf bounds nothing).
+0 * inf bounds nothing); of meshes it is the watertight test in float64, without an inside.
 """
 
 import math
@@ -17,6 +17,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from .. import DynamicBVH
+from ..scene import Mesh, Scene, Shapes
+from .error.meshes import surface_of, watertight
 from .error.truth import brute_force, enter_box, exact
 from .page import Page
 from .scenes import Boxes, Floats, Rays, units
@@ -390,6 +392,64 @@ def _height(name: str, places: Floats, shifted: bool, at_once: bool = False) -> 
     return Case(name, f'{len(lo):,} boxes', *said, holds)
 
 
+# ---- Rays at a mesh that is not convex: three cubes in an L, whose entries are known
+
+
+CORNER_OF_L = np.array([[[True], [True]], [[True], [False]]])  # which cells are filled
+NEAR_ENOUGH = Fraction(1, 10**12)  # of a distance
+UP_ULP = math.nextafter(1.0, 2.0)
+# name, edge of a cell, origin and direction in edges
+MESH_RAYS: tuple[tuple[str, float, Vector, Vector], ...] = (
+    ('at the inner corner', 1.0, (3, 3, 0.5), (-1, -1, 0)),
+    ('along the inner edge', 1.0, (1, 1, 3), (0, 0, -1)),
+    ('through a corner only', 1.0, (1, 2, 2), (1, -1, -1)),
+    ('through an edge only', 1.0, (3, 1, 0.5), (-1, -1, 0)),
+    ('beside that edge by an ulp', 1.0, (3 * UP_ULP, 1, 0.5), (-1, -1, 0)),
+    ('in the plane of a face', 1.0, (0.25, -3, 1), (0, 1, 0)),
+    ('in it, zeros of either sign', 1.0, (-1, 0.5, 0.0), (1, -0.0, 0.0)),
+    ('an ulp above it', 1.0, (0.25, -3, UP_ULP), (0, 1, 0)),
+    ('between triangles of a face', 1.0, (0.5, 0.5, 9), (0, 0, -1)),
+    ('in the notch of the L', 1.0, (1.5, 1.5, 9), (0, 0, -1)),
+    ('starts on a face and leaves', 1.0, (0, 0.5, 0.5), (-1, 0, 0)),
+    ('starts in the solid', 1.0, (0.5, 0.5, 0.5), (0, 0, 1)),
+    ('cells of 0.1 m, a corner', 0.1, (-3, 4, 1), (1, -1, 0)),
+    ('cells of 1e-25 m', 1e-25, (3, 3, 0.5), (-1, -1, 0)),
+    ('cells of 1e25 m', 1e25, (3, 3, 0.5), (-1, -1, 0)),
+    ('from 1e12 cells away', 1.0, (1e12, 1e12, 0.5), (-1, -1, 0)),
+    ('from there, past the L', 1.0, (1e12, 2 - 1e12, 0.5), (-1, 1, 0)),
+)
+
+
+def mesh_cases() -> Iterable[Case]:
+    """One ray a case, and a batch of it."""
+    for name, edge, origin, direction in MESH_RAYS:
+        corners, cells = surface_of(CORNER_OF_L) * edge, np.argwhere(CORNER_OF_L)
+        start, ahead = [x * edge for x in origin], [x * edge for x in direction]
+        sides = ((cell * edge, (cell + 1) * edge) for cell in cells)
+        entries = [exact_entry(lo.tolist(), hi.tolist(), start, ahead) for lo, hi in sides]
+        entry = min((entry for entry in entries if entry is not None), default=None)
+        scene = Scene()
+        scene.update('report', ['L'], Shapes.of_meshes([Mesh(corners)], [[0.0, 0.0, 0.0]]))
+        answers = set()
+        for count in (1, COPIES):
+            hits = scene.raycast_many(np.tile(start, (count, 1)), np.tile(ahead, (count, 1)))
+            answers |= {t if t < math.inf else None for t in hits.t.tolist()}
+        right = all(_is_near(t, entry) for t in answers)
+        given = f'cells of {edge:g} m; ray {_text(start)} + t {_text(ahead)}'
+        got = ' or '.join(sorted(map(_hit, answers)))
+        expected = _hit(None if entry is None else rounded(entry))
+        found = watertight(corners, Rays(np.array([start]), np.array([ahead]))).ts[0]
+        other = None if math.isinf(found) else float(found)
+        agreed = (other is None) == (entry is None)
+        yield Case(f'a mesh: {name}', given, expected, got, right, marked(_hit(other), agreed))
+
+
+def _is_near(t: float | None, entry: Fraction | None) -> bool:
+    if t is None or entry is None:
+        return t is None and entry is None
+    return abs(Fraction(t) - entry) <= NEAR_ENOUGH * entry
+
+
 # ---- Long and stiff runs: a million moves, speeds thirteen decades apart, teleports
 
 
@@ -506,4 +566,5 @@ SECTIONS = {
     'Boxes': partial(judge, 'Boxes', lambda brief: (*pair_cases(), *nearest_cases())),
     'Order': partial(judge, 'Order', height_cases),
     'Motion': partial(judge, 'Motion', motion_cases),
+    'Meshes': partial(judge, 'Meshes', lambda brief: mesh_cases()),
 }

@@ -43,6 +43,7 @@ if TYPE_CHECKING:
     from bvh_ros.ros.parts.batches import Batch
     from bvh_ros.ros.parts.typed_services import TypedServices
     from bvh_ros.ros.parts.virtual_scan import VirtualScan
+    from bvh_ros.ros.sources.mesh_resources import MeshFiles
     from bvh_ros.ros.sources.source import Source
 
 
@@ -113,9 +114,15 @@ class BvhServer:
         sources = [self._create_source(given, scene, frames) for given in settings.sources]
         changes = LargeChanges(scene)
         for source in sources:
-            source.changes = changes
+            source.changes, source.mesh_files = changes, self._mesh_files
         times = known_times(changes, sources, settings)
         return World(settings, changes, frames, sources, self._create_views(), times)
+
+    def _mesh_files(self) -> MeshFiles:
+        from bvh_ros.ros.sources.mesh_resources import MeshFiles
+
+        most = round(1e6 * self.settings.mesh_megabytes)
+        return MeshFiles(self.settings.mesh_paths, self.settings.mesh_limit, most)
 
     def _topics(self) -> Iterator[str]:
         """The topics that this configuration subscribes and whose QoS can be overridden."""

@@ -4,7 +4,7 @@
 
 import functools
 from collections.abc import Callable, Generator, Iterator
-from concurrent.futures import ThreadPoolExecutor, wait
+from concurrent.futures import Future, ThreadPoolExecutor, wait
 from functools import cache
 from typing import TYPE_CHECKING, Any, Generic, NamedTuple, ParamSpec, TypeVar
 
@@ -36,14 +36,21 @@ def run_in_thread(
     """
     work = _helper().submit(call, *arguments, **named)
     try:
-        done = False
-        while not done:
-            wait((work,), PATIENCE)
-            done = work.done()
-            yield WAITS
+        return (yield from until_done(work))
     finally:
         if not work.cancel():
             wait((work,))
+
+
+def until_done(work: Future[R]) -> Generator[Any, None, R]:
+    """Return the result of what another thread does; yield WAITS until it is there, at least
+    once.
+    """
+    done = False
+    while not done:
+        wait((work,), PATIENCE)
+        done = work.done()
+        yield WAITS
     return work.result()
 
 

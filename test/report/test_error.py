@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from tree.reference import effort, exact_hits
 
+from bvh_ros.report.error.meshes import CELL, boxes_of, surface_of, watertight
 from bvh_ros.report.error.methods import (
     APART,
     COLOURS,
@@ -37,7 +38,7 @@ from bvh_ros.report.error.worlds import (
     shapes_by_scene,
 )
 from bvh_ros.report.scenes import Boxes, Rays, incoherent_rays, uniform_boxes
-from bvh_ros.scene import ShapeKind, unchecked_shapes
+from bvh_ros.scene import Mesh, Scene, ShapeKind, Shapes, unchecked_shapes
 
 
 @pytest.mark.parametrize('adversarial', [False, True])
@@ -52,6 +53,24 @@ def test_truth_of_boxes_is_that_of_brute_force(adversarial):
         assert (truth.ts[ray], truth.rows[ray]) == first
         for hit in hits:
             assert truth.entry(hit.row, ray) == hit.t
+
+
+def test_cells_are_a_mesh_and_boxes():
+    """Rays that touch no corner: exact, rounded and as boxes they meet the same."""
+    rng = np.random.default_rng(3)
+    filled = rng.random((6, 6, 6)) < 0.1
+    rays = incoherent_rays(60, rng)
+    towards = Rays(rays.directions * -3.0, rays.directions + rng.uniform(0.0, 0.2, (60, 3)))
+    boxes, triangles = boxes_of(np.argwhere(filled)), surface_of(filled) * CELL
+    truth, found = boxes_truth(boxes, towards), watertight(triangles, towards)
+    mesh = Mesh(triangles)
+    scene = Scene()
+    scene.update('report', ['mesh'], Shapes.of_meshes([mesh], [[0.0, 0.0, 0.0]]))
+    ours = scene.raycast_many(*towards)
+    exact = np.array([np.inf if t is None else float(t) for t in truth.ts])
+    assert 5 < np.isfinite(exact).sum() < 55
+    assert np.allclose(found.ts, exact, rtol=1e-12)
+    assert np.allclose(ours.t, exact, rtol=1e-12)
 
 
 HALF_TURN = (0.0, 0.0, 1.0, 1.0)  # a quarter turn about z, not of unit length

@@ -42,6 +42,11 @@ def test_rays(case):
     assert case.passed, case
 
 
+def test_rays_at_a_mesh():
+    wrong = [case for case in stability.mesh_cases() if not case.passed]
+    assert not wrong, wrong
+
+
 def test_a_wrong_answer_fails(monkeypatch):
     monkeypatch.setattr(DynamicBVH, 'raycast', lambda *_, **__: None)
     assert not all(case.passed for case in stability.ray_cases())

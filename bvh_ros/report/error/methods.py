@@ -5,7 +5,7 @@ decisions or in float32, and brute force."""
 
 from collections.abc import Callable, Mapping, Sequence
 from functools import cache
-from string import ascii_uppercase
+from string import ascii_lowercase, ascii_uppercase
 from typing import Any, NamedTuple
 from unittest.mock import patch
 
@@ -137,8 +137,11 @@ COLOURS = {
     **{f'{rate} Hz, predicted': SKY for rate in RATES},
     'sweep between two poses': BLUE,
     'poses on the way': PURPLE,
+    'float64 watertight': RED,
+    'convex hull of the mesh': ORANGE,
+    'Embree 4, float32': PINK,
 }
-LETTERS = dict(zip(COLOURS, ascii_uppercase, strict=False))
+LETTERS = dict(zip(COLOURS, ascii_uppercase + ascii_lowercase, strict=False))
 
 
 class Method(NamedTuple):

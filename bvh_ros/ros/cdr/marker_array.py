@@ -79,6 +79,7 @@ EMPTY = b'\0\1\0\0' + bytes(4)  # a message without markers
 
 # Columns of the places that the kernel notes for each marker.
 FRAME, FRAME_LENGTH, NEW_FRAME, SPACE, SPACE_LENGTH, NEW_SPACE, POINTS, POINT_COUNT = range(8)
+RESOURCE, RESOURCE_LENGTH, COLUMNS = 8, 9, 10
 
 
 @inlined
@@ -107,15 +108,16 @@ def _skip_texture(data, at, big_endian):
 
 
 @inlined
-def _skip_rest(data, at, big_endian):
-    """What comes after the points."""
+def _skip_rest(data, at, big_endian, row):
+    """Skip what comes after the points, but note where the mesh_resource is."""
     at = sequence(data, at, COLOUR, 4, big_endian)[2]
     at = text(data, at, big_endian)[2] if at >= 0 else at
     at = _skip_texture(data, at, big_endian) if at >= 0 else at
     at = sequence(data, at, UV, 4, big_endian)[2] if at >= 0 else at
-    for _ in range(3):  # text, mesh_resource, the mesh file's name
-        if at >= 0:
-            at = text(data, at, big_endian)[2]
+    at = text(data, at, big_endian)[2] if at >= 0 else at
+    if at >= 0:
+        row[RESOURCE], row[RESOURCE_LENGTH], at = text(data, at, big_endian)
+    at = text(data, at, big_endian)[2] if at >= 0 else at  # the mesh file's name
     at = sequence(data, at, 1, 1, big_endian)[2] if at >= 0 else at
     return skip(data, at, 1, 1) if at >= 0 else at
 
@@ -155,7 +157,7 @@ def read_markers(data, big_endian, fixed, places):
         if end >= 0:
             row[POINTS], row[POINT_COUNT], end = sequence(data, end, POINT, 8, big_endian)
         if end >= 0:
-            end = _skip_rest(data, end, big_endian)
+            end = _skip_rest(data, end, big_endian, row)
         if end < 0:
             return end, number
         at = end
@@ -178,7 +180,7 @@ def read(*messages: bytes) -> MarkerTable:
     big_endian = order == '>'
     counts = [_count(data, big_endian) for data in bodies]
     fixed = np.empty((sum(counts), FIXED_SIZE), np.uint8)
-    places = np.zeros((sum(counts), 8), np.int64)
+    places = np.zeros((sum(counts), COLUMNS), np.int64)
     row = at = 0
     for data, count in zip(bodies, counts, strict=True):
         own = places[row : row + count]
@@ -188,7 +190,7 @@ def read(*messages: bytes) -> MarkerTable:
         if end < 0:
             raise ValueError(f'marker {number} of {count} {reading.REASONS[end]}')
         if at:
-            own[:, [FRAME, SPACE, POINTS]] += at
+            own[:, [FRAME, SPACE, POINTS, RESOURCE]] += at
         row, at = row + count, at + len(data)
     data = bodies[0] if len(bodies) == 1 else np.concatenate(bodies)
     return _table(data, order, fixed, places)
@@ -225,6 +227,7 @@ def _table(
         scale=columns['scale'].astype(np.float64),
         lifetime=_nanoseconds(columns['lifetime']),
         points=partial(_points, data, order, places),
+        resource=partial(_resource, data, places),
         colours=partial(_colours, data, order, places),
     )
 
@@ -265,6 +268,11 @@ def _points(
     begin, count = places[row, [POINTS, POINT_COUNT]].tolist()
     found = np.frombuffer(data, f'{order}f8', 3 * count, begin)
     return found.astype(np.float64).reshape(-1, 3)
+
+
+def _resource(data: NDArray[np.uint8], places: NDArray[np.int64], row: int) -> str:
+    begin, length = places[row, [RESOURCE, RESOURCE_LENGTH]].tolist()
+    return data[begin : begin + length].tobytes().decode('utf-8', 'replace')
 
 
 def _colours(

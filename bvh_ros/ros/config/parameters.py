@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import difflib
 import math
+import os
 import re
 import sys
 from collections.abc import Mapping, Sequence
@@ -200,6 +201,9 @@ class Settings:
     path_between: bool
     threads: int  # that share the rows of a batch
     use_tf: bool
+    mesh_paths: Sequence[str]
+    mesh_limit: int
+    mesh_megabytes: float
     sources: tuple[SourceSettings, ...]
     views: tuple[ViewSettings, ...]
     transforms: tuple[TransformSettings, ...]
@@ -324,6 +328,20 @@ NODE_OPTIONS = (
         'Names of transforms that never change; each has a parent, xyz and xyzw of its own.',
     ),
     Option('use_tf', True, 'Transform other frames by tf2, where tf2_ros is installed.'),
+    Option(
+        'mesh_paths',
+        [''],
+        'Folders from which markers may name mesh files, file://; package:// names those of '
+        'installed packages.',
+    ),
+    Option(
+        'mesh_limit',
+        200_000,
+        'A mesh file with more triangles is refused.',
+        minimum=1,
+        maximum=10_000_000,
+    ),
+    Option('mesh_megabytes', 100.0, 'A larger mesh file is refused.', 1e-3, 1000.0),
 )
 SOURCE_OPTIONS = (
     Option('prefix', '', 'Begins the name of every obstacle of this source.'),
@@ -395,6 +413,7 @@ def read_settings(
         raise ConfigurationError(
             f"parameter 'views' names {len(views)} views; there can be {MOST_VIEWS}"
         )
+    _check_folders(values['mesh_paths'])
     region = _region(values.pop('region'), values['planar'])
     height = values.pop('footprint_height')
     footprint = _footprint(values.pop('footprint'), height, planar=values['planar'])
@@ -414,6 +433,14 @@ def read_settings(
     )
     _check_for_misspelt_options(node, [*names, *views, *transforms, *groups])
     return settings
+
+
+def _check_folders(paths: Sequence[str]) -> None:
+    for path in paths:
+        if not (os.path.isabs(path) and os.path.isdir(path)):
+            raise ConfigurationError(
+                f"parameter 'mesh_paths': {shortened(path)!r} is no absolute path of a folder"
+            )
 
 
 def _region(

@@ -5,13 +5,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Generator
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bvh_ros.ros.conversions import rotations
 from bvh_ros.ros.conversions.placing import IntoNode, Placing
+from bvh_ros.ros.texts import shortened
 from bvh_ros.ros.world.frames import Transform
 from bvh_ros.scene import (
     AS_CONVEX,
@@ -26,6 +27,9 @@ from bvh_ros.scene import (
 )
 from bvh_ros.scene.shapes.shape import FINE, as_shapes, canonicalise
 from bvh_ros.scene.store import run_in_thread
+
+if TYPE_CHECKING:
+    from bvh_ros.ros.sources.mesh_resources import MeshFile, MeshFiles
 
 Integers = NDArray[np.int64]
 Floats = NDArray[np.float64]
@@ -47,6 +51,7 @@ class MarkerTable(NamedTuple):
     scale: Floats  # (n, 3)
     lifetime: Integers  # (n,) ns
     points: Callable[[int], Floats]  # of a row, (k, 3)
+    resource: Callable[[int], str]  # of a row, the URI of its mesh
     colours: Callable[[int], Floats]  # of a row's points, (k, 4), or none
 
 
@@ -89,7 +94,7 @@ def _examine(triangles: Floats, planar: bool, form: str) -> Mesh:
 ADD_OR_MODIFY, DELETE, DELETE_ALL = 0, 2, 3
 SINGLE_SHAPES = {1: ShapeKind.BOX, 2: ShapeKind.SPHERE, 3: ShapeKind.CYLINDER}
 LISTED_SHAPES = {6: ShapeKind.BOX, 7: ShapeKind.SPHERE}
-TRIANGLES = 11
+MESH_RESOURCE, TRIANGLES = 10, 11
 TYPE_NAMES = (
     *('ARROW', 'CUBE', 'SPHERE', 'CYLINDER', 'LINE_STRIP', 'LINE_LIST', 'CUBE_LIST'),
     *('SPHERE_LIST', 'POINTS', 'TEXT_VIEW_FACING', 'MESH_RESOURCE', 'TRIANGLE_LIST'),
@@ -165,7 +170,8 @@ def _last(rows: Integers, of: Integers, count: int) -> Integers:
 
 # What a marker that adds wants, by its type; the last is for types that there are not.
 _ADDED = np.full(TRIANGLES + 2, NOTHING)
-_ADDED[list(SINGLE_SHAPES)], _ADDED[list(LISTED_SHAPES)], _ADDED[TRIANGLES] = SINGLE, LISTED, MESH
+_ADDED[list(SINGLE_SHAPES)], _ADDED[list(LISTED_SHAPES)] = SINGLE, LISTED
+_ADDED[[MESH_RESOURCE, TRIANGLES]] = MESH
 
 
 def _wishes(table: MarkerTable) -> Integers:
@@ -186,7 +192,7 @@ def why_not(table: MarkerTable, row: int) -> str:
     if table.lifetime[row] < 0:
         return f'negative lifetime {table.lifetime[row] / 1e9:g} s'
     type_name = TYPE_NAMES[kind] if 0 <= kind < len(TYPE_NAMES) else 'unknown'
-    return f'marker type {kind} ({type_name}) is not a box, sphere, cylinder or list of triangles'
+    return f'marker type {kind} ({type_name}) is not a box, sphere, cylinder, list or mesh'
 
 
 # What markers are called in the scene: `ns/id`, and `ns/id#3` for an element of a list.
@@ -274,6 +280,7 @@ def change(
     prefix: str = '',
     planar: bool = False,
     meshes: str = AS_CONVEX,
+    files: Callable[[], MeshFiles | None] = lambda: None,
 ) -> Generator[None, None, Change]:
     """Read markers; pause now and then, nothing is changed yet.
 
@@ -291,7 +298,9 @@ def change(
     planar : bool
         Whether the scene is.
     meshes : str
-        What lists of triangles become, a form of `mesh_of`.
+        What lists of triangles and mesh files become, a form of `mesh_of`.
+    files : callable, optional
+        Returns what reads mesh files, once a marker names one; None: such markers are refused.
     """
     reader = _Reader(table, into_node, prefix, planar, meshes)
     reader.refuse_later_than(latest)
@@ -299,7 +308,8 @@ def change(
     reader.faulty[order.wish == NOTHING] = True
     good = order.alive.copy()
     yield from reader.find_frames(good)
-    yield from reader.make_meshes(np.flatnonzero(good & (order.wish == MESH)))
+    yield from reader.make_meshes(np.flatnonzero(good & (table.type == TRIANGLES)))
+    yield from reader.read_files(np.flatnonzero(good & (table.type == MESH_RESOURCE)), files)
     yield from reader.read_lists(np.flatnonzero(good & (order.wish == LISTED)))
     good &= ~reader.faulty
     if reader.points:
@@ -374,6 +384,39 @@ class _Reader:
                 self.refuse(row, str(error))
                 yield
 
+    def read_files(
+        self, rows: Integers, find_files: Callable[[], MeshFiles | None]
+    ) -> Generator[None, None, None]:
+        """Make meshes of the files that markers name; scale multiplies them."""
+        files = find_files() if len(rows) else None
+        if files is None:
+            for row in rows.tolist():
+                self.refuse(row, f'{TYPE_NAMES[MESH_RESOURCE]}: no mesh files are read here')
+            return
+        scales = self.table.scale
+        found: dict[int, MeshFile] = {}
+        reading = []  # all begin before the first is waited for
+        for row in rows.tolist():
+            try:
+                found[row] = file = files.find(self.table.resource(row))
+            except ValueError as error:
+                self.refuse_file(row, error)
+                continue
+            if not files.knows(file, scales[row], self.form):
+                reading.append(files.start(file))
+        for row, file in found.items():
+            uri = self.table.resource(row)
+            given = uri, file, scales[row], self.form
+            try:
+                self.meshes[row] = yield from files.mesh(*given, planar=self.planar)
+            except ValueError as error:
+                self.refuse_file(row, error)
+        files.kept = [self.meshes[row] for row in found if row in self.meshes]
+
+    def refuse_file(self, row: int, reason: ValueError) -> None:
+        uri = shortened(self.table.resource(row))
+        self.refuse(row, f'{TYPE_NAMES[MESH_RESOURCE]} {uri}: {reason}')
+
     def read_lists(self, rows: Integers) -> Generator[None, None, None]:
         """Find the points of list markers."""
         if not len(rows):
@@ -417,7 +460,7 @@ class _Reader:
         shapes = yield from self._placed(rows, of)
         if self.meshes:
             given = np.empty(len(of), object)
-            for at in np.flatnonzero(self.table.type[of] == TRIANGLES).tolist():
+            for at in np.flatnonzero(self.table.type[of] >= MESH_RESOURCE).tolist():
                 given[at] = mesh = self.meshes[int(of[at])]
                 shapes.kind[at], shapes.size[at] = ShapeKind.MESH, mesh.size
             shapes = shapes._replace(mesh=given)

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from functools import partial
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from visualization_msgs.msg import MarkerArray
 
@@ -20,6 +20,9 @@ from bvh_ros.ros.sources.source import Applying, Source
 from bvh_ros.scene import Families, Part
 from bvh_ros.scene.names import as_families
 
+if TYPE_CHECKING:
+    from bvh_ros.ros.sources.mesh_resources import MeshFiles
+
 
 class MarkerArraySource(Source):
     """Keeps one obstacle for each marker, and one for each element of a list marker."""
@@ -28,6 +31,7 @@ class MarkerArraySource(Source):
 
     def __init__(self, *args: Any) -> None:
         super().__init__(*args)
+        self._files: MeshFiles | None = None
         self._lists: dict[str, int] = {}  # list markers, and how many elements each has at most
         if other := definitions.difference(MarkerArray, decoder.DEFINITION):
             raise ConfigurationError(
@@ -51,6 +55,7 @@ class MarkerArraySource(Source):
             prefix=self.settings.prefix,
             planar=self.scene.planar,
             meshes=self.settings.options['meshes'],
+            files=self._find_files,
         )
         self.is_whole = change.clears
         part = Part(change.names, change.shapes, change.stamp, change.expires)
@@ -70,6 +75,15 @@ class MarkerArraySource(Source):
         """Start over."""
         super().forget()
         self._lists.clear()
+        self._files = None  # what could not be read is tried again
+
+    def _find_files(self) -> MeshFiles | None:
+        if self._files is None and self.mesh_files is not None:
+            self._files = self.mesh_files()
+        return self._files
+
+    def _loading(self) -> str:
+        return '' if self._files is None else self._files.loading
 
     def _with_elements(self, names: Families) -> Families:
         """These names, and the elements of those that are lists."""

@@ -18,7 +18,7 @@ from rclpy.serialization import deserialize_message
 from bvh_ros.ros.parts.part import Timings
 from bvh_ros.ros.qos import DEPTH, Delivery
 from bvh_ros.ros.sources.subscribing import Completeness, FollowingSubscription, Heard
-from bvh_ros.ros.texts import Refused, explain
+from bvh_ros.ros.texts import Refused, explain, shortened
 from bvh_ros.ros.world.large_changes import LargeChanges
 from bvh_ros.scene import Part, Refusal, Refusals, ShapeKind
 from bvh_ros.scene.slicing import AT_ONCE
@@ -30,6 +30,7 @@ if TYPE_CHECKING:
 
     from bvh_ros.ros.compile_jobs import Job
     from bvh_ros.ros.config.parameters import SourceSettings
+    from bvh_ros.ros.sources.mesh_resources import MeshFiles
     from bvh_ros.ros.world.frames import Frames
     from bvh_ros.scene import NodeScene
     from bvh_ros.scene.names import Slots
@@ -69,6 +70,8 @@ class Source(ABC):
         # Called after each message; may pause.
         self.on_applied: Callable[[Source, int], Iterable[None]] = lambda source, now: ()
         self.changes = LargeChanges(scene)
+        # Reads the mesh files that messages name, made when there is one; None: none are read.
+        self.mesh_files: Callable[[], MeshFiles] | None = None
         self.is_whole = False  # whether the message that is being applied says everything
         # Whether `apply` takes messages as serialised bytes; whether it takes several small ones.
         self.raw = self.together = False
@@ -282,6 +285,10 @@ class Source(ABC):
         most = self.scene.max_prediction
         return now + round(most * 1e9) if self.settings.predicts and math.isfinite(most) else None
 
+    def _loading(self) -> str:
+        """What a message names and is not known yet: an answer without it might look free."""
+        return ''
+
     def forget(self) -> None:
         """Start over, after the scene was cleared: a required source must speak again."""
         self._work = None
@@ -291,6 +298,8 @@ class Source(ABC):
     def problem(self, now: int) -> str:
         """Say why the world is incomplete without this source, or return an empty text."""
         settings = self.settings
+        if loading := self._loading():
+            return f"source '{self.name}' loads {shortened(loading)}: what it shows is unknown yet"
         if not self.has_spoken:
             return f"required source '{self.name}' has not spoken yet" if settings.required else ''
         if settings.required and (missing := self.completeness.missing()):

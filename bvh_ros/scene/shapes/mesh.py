@@ -4,6 +4,7 @@
 
 import hashlib
 import math
+import os
 from fractions import Fraction
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -766,6 +767,63 @@ class Mesh:
         farthest = float(np.linalg.norm(self.vertices, axis=1).max())
         self.radius = math.ldexp(1.0, math.frexp(farthest)[1])
         """A power of two beyond the farthest vertex: steps of it round nothing away."""
+
+    @classmethod
+    def from_file(
+        cls,
+        path: str | os.PathLike[str],
+        scale: ArrayLike = 1.0,
+        *,
+        solid: bool | None = None,
+        max_triangles: int = 1_000_000,
+        max_bytes: int = 2**28,
+    ) -> 'Mesh':
+        """The mesh in an STL, OBJ, PLY, GLB or DAE file; GLB and DAE need the extra [meshes].
+
+        Parameters
+        ----------
+        path : path-like
+            Its ending tells its kind. No other file is opened: textures are not read.
+        scale : array_like, shape () or (3,)
+            What the coordinates are multiplied by, for instance 0.001 for a file in mm.
+        solid : bool, optional
+            As of `Mesh`.
+        max_triangles, max_bytes : int
+            A file with more is refused.
+
+        Notes
+        -----
+        The frame is the file's own: no axis is exchanged, and only the unit of a DAE file is
+        applied, as RViz does. Polygons become fans of triangles; lines and points are left out.
+        A file in which anything else is not understood, or cut off, is refused. It is read in
+        this process: a hostile DAE file may take long and much memory.
+
+        Raises
+        ------
+        OSError
+            If the file cannot be opened.
+        ImportError
+            If what reads such files is not installed.
+        ValueError
+            If an argument or the file cannot be used, or its triangles make no `Mesh`.
+        """
+        from .mesh_file import read
+
+        file, factors = checks.path('path', path), checks.floats('scale', scale)
+        if factors.shape not in ((), (3,)) or not (np.isfinite(factors) & (factors != 0.0)).all():
+            raise ValueError(
+                'scale must be one or three finite numbers other than 0, '
+                f'not {checks.shown_short(scale)}'
+            )
+        most = checks.whole('max_triangles', max_triangles, 1)
+        size = checks.whole('max_bytes', max_bytes, 1)
+        try:
+            with np.errstate(over='ignore'):  # to what is not finite
+                triangles = read(file, most, size) * factors
+            return cls(triangles, solid=solid)
+        except ValueError as error:
+            scaled = '' if (factors == 1.0).all() else f' times scale {factors.tolist()}'
+            raise ValueError(f'{file!r:.200}{scaled}: {error}') from error
 
     def __repr__(self) -> str:
         edges = ' x '.join(f'{edge:g}' for edge in self.size)

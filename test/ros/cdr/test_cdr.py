@@ -80,6 +80,7 @@ def assert_same(read, expected):
     for row in range(count):
         assert np.array_equal(read.points(row), by_rclpy.points(row), equal_nan=True)
         assert np.array_equal(read.colours(row), by_rclpy.colours(row), equal_nan=True)
+        assert read.resource(row) == by_rclpy.resource(row)
 
 
 @settings(max_examples=2000 if LONG else 150)

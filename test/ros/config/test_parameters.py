@@ -121,6 +121,9 @@ ACCEPTED = {
     'views': NO_NAMES,
     'transforms': NO_NAMES,
     'use_tf': FLAG,
+    'mesh_paths': NO_NAMES,
+    'mesh_limit': COUNT,
+    'mesh_megabytes': (1, 3, 0.5),
     **{f'{of}.{name}': good for of, group in GROUPS.items() for name, good in group.items()},
 }
 
