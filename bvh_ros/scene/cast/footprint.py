@@ -327,6 +327,9 @@ def edge_of_polygon(footprint, hulls, scale, feature, place, direction):
     return edge_of(rim_of(footprint, hulls, scale), feature - FACE)
 
 
+ALONG = 2.0**-40  # of its length: an edge that crosses a line by less runs along it
+
+
 @lean_kernel
 def edge_of_any(footprint, hulls, scale, feature, place, direction):
     """The same, or the edge of a triangle's shadow through which a line from a place enters it."""
@@ -342,7 +345,7 @@ def edge_of_any(footprint, hulls, scale, feature, place, direction):
         offset_x, offset_y = corner_x - place[0], corner_y - place[1]
         before = offset_y * direction[0] - offset_x * direction[1]
         after = (offset_y + y) * direction[0] - (offset_x + x) * direction[1]
-        if before >= 0.0 >= after and before > after:
+        if before >= 0.0 >= after and before - after > ALONG * (abs(x) + abs(y)):
             share = before / (before - after)
             s = (offset_x + share * x) * direction[0] + (offset_y + share * y) * direction[1]
             if s < best:

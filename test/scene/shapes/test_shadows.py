@@ -51,11 +51,16 @@ def first_hits(triangles, starts, goals):
             meets &= ~within
             t = before[meets] / (before[meets] - after[meets])
             first[meets] = np.minimum(first[meets], t)
-            for row in np.flatnonzero(within):
-                ends = [int((end - starts[row]) @ along[row]) for end in (p, q)]
-                length = int(along[row] @ along[row])
-                if max(ends) >= 0 and min(ends) <= length:
-                    first[row] = min(first[row], max(min(ends), 0) / length)
+            for row in np.flatnonzero(within & (before == 0)):
+                way, square = along[row], int(along[row] @ along[row])
+                if square == 0:  # a point on the line of the edge
+                    low, high = np.minimum(p, q), np.maximum(p, q)
+                    held = ((low <= starts[row]) & (starts[row] <= high)).all()
+                    first[row] = 0.0 if held else first[row]
+                    continue
+                ends = [int((end - starts[row]) @ way) for end in (p, q)]
+                if max(ends) >= 0 and min(ends) <= square:
+                    first[row] = min(first[row], max(min(ends), 0) / square)
     return first
 
 
@@ -71,8 +76,6 @@ def test_rays_are_exact(name, power):
         scene = scene_of(Shapes.of_meshes(mesh, [0, 0, 0], [quaternion]), planar=True)
         starts, goals = segments(turned, 400, rng)
         wanted = first_hits(turned[:, :, :2], starts[:, :2], goals[:, :2])
-        still = (starts[:, :2] == goals[:, :2]).all(axis=1)
-        assert still.any() or name != 'strip'
         found = scene.raycast_many(starts * unit, (goals - starts) * unit, 1.0)
         assert np.array_equal(np.isfinite(found.t), np.isfinite(wanted))
         hit = np.isfinite(wanted)
@@ -80,9 +83,7 @@ def test_rays_are_exact(name, power):
         assert found.t[hit] == pytest.approx(wanted[hit], abs=1e-12)
         along = goals - starts
         places = (starts + np.where(hit, wanted, 0.0)[:, None] * along) * unit
-        assert found.points[hit] == pytest.approx(places[hit], abs=1e-12 * 40 * unit) or (
-            found.points[hit][:, :2] == pytest.approx(places[hit][:, :2], abs=1e-11 * unit)
-        )
+        assert found.points[hit, :2] == pytest.approx(places[hit, :2], abs=1e-11 * unit)
         facing = np.einsum('ni,ni->n', found.normals[:, :2], along[:, :2].astype(float))
         enters = hit & (wanted > 0.0)
         assert (facing[enters] < 0.0).all()
@@ -370,8 +371,8 @@ def test_a_hole_of_the_shadow_is_free():
     assert not scene.overlap_shape(box_in_hole)
     assert scene.sweep_shape(box_in_hole, (4, 0.3, 5)) is None
     assert scene.sweep_shape(box_in_hole, (4, 2)).t > 0.2
-    scene.update('test', ['0'], Shapes.of_meshes(ring, [4, 0, 0], [(0.6, 0, 0, 0.8)]), stamp=2)
-    assert scene.raycast((3.6, 0), (4.4, 0)) is None  # it leans: an ellipse
+    scene.update('test', ['0'], Shapes.of_meshes(ring, [4, 0, 0], [(0.2, 0, 0, 0.98)]), stamp=2)
+    assert scene.raycast((3.6, 0), (4.4, 0)) is None  # it leans a little: an ellipse
     standing = Shapes.of_meshes(ring, [4, 0, 0], [(math.sqrt(0.5), 0, 0, math.sqrt(0.5))])
     scene.update('test', ['0'], standing, stamp=3)
     assert scene.raycast((3.6, 0), (4.4, 0)).t == 0.0
@@ -414,7 +415,7 @@ def test_heights_do_not_count():
     for height in (0.0, 1e3, -1e6):
         shape = Shapes.of_meshes(Mesh(CORNER), [0, 0, height], [(0, 0, 0.6, 0.8)])
         scene = scene_of(shape, planar=True)
-        other = Shapes.of_meshes(Mesh(CORNER / 9.0), [2, 8, 0])
+        other = Shapes.of_meshes(Mesh(CORNER / 9.0), [6, 9, 0])
         _, found, _, _ = scene.clearance_many(other)
         if height == 0.0:
             wanted = found
@@ -481,8 +482,8 @@ def test_a_shadow_is_shared_and_kept_while_its_mesh_only_moves():
     hulls = scene._store.columns.meshes.hulls
     scene.update('test', ['0'], shape.take([0])._replace(position=np.ones((1, 3))), stamp=2)
     assert scene._store.columns.meshes.hulls is hulls
-    # Of what lies twice, or along an edge, one triangle is enough: two rectangles.
-    assert len(hulls.corners) == 4
+    # The sides of both boxes lie along edges of their tops.
+    assert len(hulls.corners) == len(Mesh(CORNER).corners) - 16
     scene.update('test', ['0'], shape.take([0])._replace(orientation=np.eye(4)[[3]]), stamp=3)
     assert scene.stats()['meshes'] == 2
     scene.clear()
