@@ -65,7 +65,8 @@ class DistanceQueries:
         ------
         ValueError
             If an argument is NaN, negative (`max_distance`), less than 1 (`k`) or of the wrong
-            shape.
+            shape; if `signed`, in a planar scene, and the point lies in a mesh that is not convex:
+            its depth there is not known.
         """
         if self._store.change.unfinished:
             self._store.change.require_none()
@@ -74,10 +75,13 @@ class DistanceQueries:
         many = checks.whole('k', k, 1)
         if self._timed.time_matters(at, None, 1):
             options = where, many, limits, sign_of(signed), self._timed.second(at)
-            return self._timed.distances().find_near(*options)
-        room, rows = self._nearness.find(where, many, limits, sign_of(signed))
-        hits = self._store.hits(room.found, rows)
-        self._nearness.spare.give(room)
+            hits = self._timed.distances().find_near(*options)
+        else:
+            room, rows = self._nearness.find(where, many, limits, sign_of(signed))
+            hits = self._store.hits(room.found, rows)
+            self._nearness.spare.give(room)
+        if signed and hits:
+            self._require_depths(np.array([hits[0].t]), np.array([hits[0].handle]))
         return hits
 
     def clearance(
@@ -112,7 +116,7 @@ class DistanceQueries:
         found = min(every, key=lambda one: (one.distances.item(0), handles[one.slots[0]]))
         if found.slots[0] == NONE:
             return None
-        self._require_depths(found)
+        self._require_depths(found.distances, found.handles)
         return Clearance(
             found.distances.item(0),
             self._store.registry.name(found.slots[0]),
@@ -194,6 +198,8 @@ class DistanceQueries:
         if near is None:
             checks.finite('points', where)
             raise RuntimeError(IS_CHANGED)
+        if signed:
+            self._require_depths(near.distances[:, 0], near.handles[:, 0])
         return tuple(near) if near[0].shape[1] == many else _padded(near, many)
 
     def clearance_many(
@@ -237,9 +243,25 @@ class DistanceQueries:
         ------
         ValueError
             If a row is no legal shape, or another argument is NaN, negative or of the wrong shape;
-            if `signed`, and one of two shapes has a mesh that is not convex: only the distance of
-            a ball and a solid has a sign then.
+            if `signed`, and two shapes touch of which one has a mesh that is not convex: only that
+            of a ball and a solid is known then, and in a planar scene none.
         """
+        found = self._clear_many(shapes, max_distance, mask, signed, threads, at)
+        if signed:
+            self._require_depths(found.distances, found.handles)
+        _, distances, points, other_points, handles = found
+        return handles, distances, points, other_points
+
+    def _clear_many(
+        self,
+        shapes: Shapes,
+        max_distance: ArrayLike,
+        mask: ArrayLike,
+        signed: bool,
+        threads: int,
+        at: ArrayLike | None,
+    ) -> Neighbours:
+        """The same; where they touch and no depth is known, the distance is -inf."""
         if self._store.change.unfinished:
             self._store.change.require_none()
         given = as_shapes(shapes, self._store.planar)
@@ -259,10 +281,7 @@ class DistanceQueries:
             legal, hulls = query_rows(given, 0.0, mask, self._store.planar)
             found = self._find_then(tuple(legal), hulls, options, threads, at)
         assert found is not None
-        if signed:
-            self._require_depths(found)
-        _, distances, points, other_points, handles = found
-        return handles, distances, points, other_points
+        return found
 
     def _find_then(
         self, rows: tuple[Any, ...], hulls: Any, options: tuple[Any, ...], threads: int, at: Any
@@ -273,17 +292,18 @@ class DistanceQueries:
             return self._clearances.find_rows(rows, hulls, options, threads)
         return self._timed.distances().clearances(rows, hulls, options, times, threads)
 
-    def _require_depths(self, found: Neighbours) -> None:
+    def _require_depths(self, distances: Floats, handles: NDArray[Any]) -> None:
         """ValueError that names an obstacle for which there is no signed distance."""
-        bad = np.flatnonzero(np.isneginf(found.distances))
+        bad = np.flatnonzero(np.isneginf(distances))
         if not len(bad):
             return
         columns = self._store.columns
-        slot = np.flatnonzero(columns.node_handle == found.handles[bad[0]])[0]
-        raise ValueError(
-            'there is no signed distance between meshes that are not convex and other shapes than '
-            f'balls: row {bad[0]}, obstacle {self._store.registry.name(slot)}'
-        )
+        slot = np.flatnonzero(columns.node_handle == handles[bad[0]])[0]
+        why = 'where a mesh that is not convex touches another shape than a ball'
+        if self._store.planar:
+            why = 'in a planar scene where something touches a mesh that is not convex'
+        name = self._store.registry.name(slot)
+        raise ValueError(f'there is no signed distance {why}: row {bad[0]}, obstacle {name}')
 
 
 def sign_of(signed: bool) -> Signed:

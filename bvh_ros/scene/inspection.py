@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 from ..tree.access import CORNERS, SIDES, Ids, checks
 from .results import LAST_NODE_HANDLE, Obstacle
 from .rows import text
-from .shapes.footprint import Polygon
-from .shapes.mesh import convex_polygon
+from .shapes.mesh import Mesh, convex_polygon
 from .shapes.shape import Floats, ShapeKind, Shapes, different, rotations, shapes_of
 from .store import Obstacles, run_in_thread
 
@@ -84,8 +83,17 @@ def faces_of(shapes: Shapes) -> list[Floats]:
 
 
 def outlines(shapes: Shapes) -> list[Floats]:
-    """The polygon (k, 2) around each shape as seen from above."""
-    return [convex_polygon(surface.reshape(-1, 3)[:, :2]) for surface in surfaces(shapes)]
+    """The polygon (k, 2) around each shape as seen from above; of a mesh that is not convex its
+    triangles instead.
+    """
+    polygons: list[Floats] = []
+    for row, surface in enumerate(surfaces(shapes)):
+        flat, mesh = surface[:, :, :2], None if shapes.mesh is None else shapes.mesh[row]
+        if mesh is None or mesh.convex:
+            polygons.append(convex_polygon(flat.reshape(-1, 2)))
+        else:
+            polygons.extend(flat)
+    return polygons
 
 
 def triangles(shapes: Shapes) -> list[Floats]:
@@ -191,7 +199,7 @@ class Inspection:
             mesh = np.empty(len(slots), object)
             for row in np.flatnonzero(kind == ShapeKind.MESH).tolist():
                 store = self._store.columns.meshes[int(geometry['mesh'][row])]
-                mesh[row] = store.mesh if isinstance(store, Polygon) else store
+                mesh[row] = store if isinstance(store, Mesh) else store.mesh
         return shapes_of(geometry)._replace(mesh=mesh)
 
     def own_box(self, name: str) -> tuple[Floats, Floats, Floats]:
@@ -237,7 +245,7 @@ class Inspection:
         return mine[np.argsort(handles, kind='stable')]
 
     def faces(self) -> dict[str, list[Floats]]:
-        """The polygons of each source; of a planar scene, those around its shapes from above."""
+        """The polygons of each source; of a planar scene, those seen from above."""
         polygons = outlines if self._store.planar else faces_of
         most = len(self._store.columns.source)
         return {source: polygons(self.shapes_of(source, most)) for source in self.sources()}

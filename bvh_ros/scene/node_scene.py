@@ -2,9 +2,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """The scene of a node: other callers need none of this."""
 
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
 from ..tree.access import checks
 from .inspection import Inspection
 from .scene import Scene, method_of
+from .shapes.shape import Floats, Shapes
 from .slicing import SlicedUpdates
 from .store import Obstacles
 from .timed_queries import TimedQueries
@@ -39,6 +45,15 @@ class NodeScene(Scene):
     prepare_times = method_of('_timed', TimedQueries.prepare)
     is_prepared = method_of('_timed', TimedQueries.is_prepared)
     refit = method_of('_timed', TimedQueries.refit)
+
+    def collisions_many(
+        self, shapes: Shapes, mask: int, threads: int, at: ArrayLike | None = None
+    ) -> tuple[NDArray[np.uint32], Floats, Floats, Floats]:
+        """`clearance_many` with signed distances; 0 where two touch and no depth is known."""
+        found: Any = self._clear_many(shapes, np.inf, mask, True, threads, at)
+        _, distances, points, other_points, handles = found
+        distances[np.isneginf(distances)] = 0.0
+        return handles, distances, points, other_points
 
     # ---- what there is
 

@@ -16,7 +16,7 @@ from ..tree.access import ALL, FIRST_TIME, INT64, LAST_TIME, checks, whole_ns
 from ..tree.compiler import entry_point, lean_kernel
 from .names import BARE, UNKNOWN, Families, Slots, last_of_each
 from .results import Reasons
-from .shapes.footprint import outlined
+from .shapes.shadow import seen_from_above
 from .shapes.shape import FINE, GEOMETRY, REASONS, Canonical, Floats, Records, Shapes, canonicalise
 
 ERROR_PREFIX = 'error: '  # begins the replies that say why a request cannot be answered
@@ -28,7 +28,7 @@ class Rows(NamedTuple):
     row: NDArray[np.int64]  # their number in the message
     slot: Slots  # UNKNOWN where the name is new
     records: Records
-    mesh: NDArray[np.object_] | None  # a Mesh or Polygon in the rows of that kind
+    mesh: NDArray[np.object_] | None  # a Mesh, or what is seen of it, in the rows of that kind
     lo: Floats  # as the tree takes it
     hi: Floats
     categories: NDArray[np.uint32] | None  # None: as they are, and as the scene says of new ones
@@ -179,7 +179,7 @@ def validate_rows(
     if columns[2] is not None:
         masks = column('categories', columns[2], count, ALL).astype(np.uint32)
     form = canonicalise(shapes, 2 if planar else 3)
-    mesh = outlined(shapes.mesh, form) if planar else shapes.mesh
+    mesh = seen_from_above(shapes.mesh, form) if planar else shapes.mesh
     everyone = _FEW_NUMBERS[:count] if count <= len(_FEW_NUMBERS) else np.arange(count)
     records, lo, hi, faults = form
     # As Rows(...), which would take one more call of a function of Python's.

@@ -195,8 +195,6 @@ class SweepQueries:
         if long.any():
             raise ValueError(f'the way of row {int(long.argmax())} is longer than a double')
         kind, _, _, size, mesh = given
-        if self._store.planar and mesh is not None and mesh[0] and not mesh[0].convex:
-            raise ValueError('a planar scene takes convex meshes only')
         shape = unchecked_shapes(kind, np.zeros((1, 3)), UNTURNED, size, mesh)
         legal, hulls = query_rows(shape, 0.0, ALL, False)
         body = legal.records, legal.bounds[0]

@@ -80,7 +80,10 @@ def examined(triangles: Floats, planar: bool, form: str) -> Generator[None, None
 def _examine(triangles: Floats, planar: bool, form: str) -> Mesh:
     mesh = mesh_of(triangles, form)
     # Made when they are first asked for, and kept.
-    _ = mesh.outline if planar else (mesh.tree, mesh.discs, mesh.seeds)
+    if planar:
+        _ = mesh.outline if mesh.convex else mesh.shadow
+    else:
+        _ = mesh.tree, mesh.discs, mesh.seeds
     return mesh
 
 

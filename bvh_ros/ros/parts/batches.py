@@ -533,8 +533,8 @@ class BoxBatch(Batch):
 
 class PathBatch(Batch):
     """Answers the poses of paths by how far the footprint is from the nearest obstacle there:
-    where they touch, minus the depth, and the normal is the shortest way out. `~/paths` to
-    `~/path_hits`.
+    where they touch, minus the depth, and the normal is the shortest way out; 0, and no normal, if
+    no depth is known. `~/paths` to `~/path_hits`.
 
     Parameters
     ----------
@@ -574,7 +574,7 @@ class PathBatch(Batch):
     def _ask(self, scene: NodeScene, questions: Poses, at: At, until: At) -> Near:
         mask, threads = self.view.mask, self._threads(len(questions.places))
         parts = [
-            scene.clearance_many(paths.shapes(questions, part), np.inf, mask, True, threads, at=at)
+            scene.collisions_many(paths.shapes(questions, part), mask, threads, at)
             for part in self._footprint
         ]
         handles, distances, places, points = nearest_of(parts, [part[1] for part in parts])

@@ -7,14 +7,26 @@ in the tree, which are exact.
 """
 
 import math
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from ...tree.access import DIRECTION, INSIDE, ORIGIN, intersect_exact
-from ...tree.compiler import lean_kernel
+from ...tree.access import (
+    DIRECTION,
+    INSIDE,
+    NONE,
+    ORIGIN,
+    RAY_ROWS,
+    intersect_exact,
+    prepare_ray,
+    set_ray,
+)
+from ...tree.compiler import chosen_by_types, inlined, lean_kernel, stack_array
 from ..shapes.footprint import (
     FACE,
     ROUND,
+    are_shadows,
+    closest_on_core,
     closest_on_footprint,
     closest_on_polygon,
     corner_of,
@@ -25,10 +37,15 @@ from ..shapes.footprint import (
     measure_oval,
     oval_of,
     rim_of,
+    rim_of_shadow,
+    shadows_of,
     slab,
     to_oval,
 )
+from ..shapes.hull import are_any
 from ..shapes.shape import length, scale_of
+from ..shapes.surface import first_flat
+from .mesh import GROWN, MINUTE, BallNodes, come_near, enter_ball
 from .shapes import (
     COORDINATES,
     FRAME_SLACK,
@@ -40,6 +57,7 @@ from .shapes import (
     reach_of,
     time_of,
 )
+from .walking import walk_nodes
 
 # ---- a polygon that a disc grows
 
@@ -98,11 +116,8 @@ def to_centre(footprint, lo, hi, ray, radius, local):
 
 
 @lean_kernel
-def enter_footprint(footprint, hulls, pair, radius, t_max, work):
-    """(t, feature) as `contact.enter_shape`.
-
-    The feature of a thin ray is FACE and the edge of a polygon that is entered, or ROUND.
-    """
+def enter_convex(footprint, hulls, pair, radius, t_max, work):
+    """`enter_footprint` of a convex one."""
     ray, lo, hi = pair
     if not footprint.shaped and radius == 0.0:
         hit, t, axis = intersect_exact(lo, hi, ray, t_max)
@@ -177,6 +192,181 @@ def enter_rounded_oval(footprint, frame, ball, reach, work):
     return s, np.int64(INSIDE if s == 0.0 else ROUND)
 
 
+# ---- the shadows of a mesh that is not convex
+
+
+@lean_kernel
+def enter_thin_shadows(surface, footprint, pair, t_max):
+    """(t, feature) at which a thin ray enters the shadows of triangles, t up to t_max. Apart from
+    how far the ray's origin is from the footprint's centre nothing is rounded before the decision.
+    """
+    given, ray, largest = pair.ray, stack_array((RAY_ROWS, 3), np.float64), 0.0
+    for axis in range(2):
+        largest = max(largest, abs(given[DIRECTION, axis]))
+    exponent = -math.frexp(largest)[1]
+    ray[ORIGIN, 2] = ray[DIRECTION, 2] = 0.0
+    for axis in range(2):
+        place = given[ORIGIN, axis] - footprint.centre[axis]
+        way = math.ldexp(given[DIRECTION, axis], exponent)
+        ray[ORIGIN, axis] = place if abs(place) >= MINUTE * surface.radius else 0.0
+        ray[DIRECTION, axis] = way if abs(way) >= MINUTE else 0.0
+    reach = math.ldexp(t_max, -exponent)
+    if largest == 0.0:
+        ray[DIRECTION, 0], reach = 1.0, 0.0
+    begin = come_near(surface.radius, ray)
+    if not begin <= reach:
+        return np.inf, np.int64(ROUND)
+    s, face = first_flat(surface, ray, reach - begin)
+    if face == NONE:
+        return np.inf, np.int64(ROUND)
+    if s == 0.0 and begin == 0.0:
+        return 0.0, np.int64(INSIDE)
+    return min(math.ldexp(begin + s, exponent), t_max), np.int64(FACE + face)
+
+
+class Disc(NamedTuple):
+    """What `_visit_shadow` reads."""
+
+    surface: Any
+    frame: Any
+    radius: Any
+    reach: Any
+    offset: Any
+    """Scratch, (2,)."""
+    places: Any
+    """Scratch, (3, 3)."""
+
+
+@inlined
+def _visit_shadow(disc, work, face, best):
+    """How far a disc goes until it touches a shadow, and how far the walk goes on."""
+    rim = rim_of_shadow(disc.surface, np.int64(face), disc.frame.scale, disc.places)
+    until = min(best, disc.reach)
+    s = enter_rounded_rim(rim, work[0, :2], work[1, :2], disc.radius, until, disc.offset)
+    best = min(best, s)
+    return best, min(best, disc.reach) / disc.frame.scale
+
+
+@lean_kernel
+def approach_shadows(surface, frame, radius, reach, work):
+    """How far a disc from outside goes until it touches the shadow of a triangle, inf if it does
+    not. Rows of `work`: where it starts, the unit vector along its path, one to work in.
+    """
+    ray, box = stack_array((RAY_ROWS, 3), np.float64), stack_array((2, 3), np.float64)
+    places, nodes, size = stack_array((3, 3), np.float64), surface.nodes, 0.0
+    for axis in range(3):
+        ray[ORIGIN, axis] = work[0, axis] / frame.scale
+        ray[DIRECTION, axis] = work[1, axis]
+        size = max(size, abs(ray[ORIGIN, axis]))
+    set_ray(ray, ray[ORIGIN], ray[DIRECTION])
+    grown = (radius + frame.slack) / frame.scale * (1.0 + GROWN) + GROWN * (size + surface.radius)
+    for axis in range(3):
+        box[0, axis] = nodes[surface.root].lo[axis] - grown
+        box[1, axis] = nodes[surface.root].hi[axis] + grown
+    scale, wide = prepare_ray(ray, box[0], box[1])
+    path = BallNodes(ray, wide, grown, box)
+    disc = Disc(surface, frame, radius, reach, work[2, :2], places)
+    return walk_nodes(
+        *(nodes, surface.root, path, scale, reach / frame.scale, enter_ball),
+        *(disc, work, np.inf, _visit_shadow),
+    )
+
+
+@lean_kernel
+def enter_shadows(footprint, hulls, pair, radius, t_max, work):
+    """`enter_footprint` of a mesh that is not convex."""
+    surface = shadows_of(footprint, hulls)
+    if radius == 0.0:
+        return enter_thin_shadows(surface, footprint, pair, t_max)
+    frame = to_centre(footprint, pair.lo, pair.hi, pair.ray, radius, work)
+    ball, reach, s = radius * frame.scale, reach_of(t_max, frame.pace), np.inf
+    work[0, 2] = work[1, 2] = 0.0
+    gap = closest_on_core(footprint, hulls, frame.scale, work[0, :2], work[2, :2])
+    for _ in range(2):
+        if gap <= ball:
+            return 0.0, np.int64(INSIDE)
+        s = approach_shadows(surface, frame, ball, reach, work)
+        if s < np.inf:
+            break
+        ball += frame.slack  # what misses by less touches
+    return time_of(s, frame.pace, t_max), np.int64(ROUND)
+
+
+@lean_kernel
+def enter_any(footprint, hulls, pair, radius, t_max, work):
+    """`enter_footprint` of any one."""
+    if are_shadows(footprint, hulls):
+        return enter_shadows(footprint, hulls, pair, radius, t_max, work)
+    return enter_convex(footprint, hulls, pair, radius, t_max, work)
+
+
+@chosen_by_types
+def enter_footprint(footprint, hulls, pair, radius, t_max, work):
+    """(t, feature) as `contact.enter_shape`.
+
+    The feature of a thin ray is FACE and the edge of a polygon that is entered, or the shadow of a
+    triangle; or ROUND.
+    """
+    return _enter_any if are_any(hulls) else _enter_convex
+
+
+def _enter_any(footprint, hulls, pair, radius, t_max, work):
+    return enter_any(footprint, hulls, pair, radius, t_max, work)
+
+
+def _enter_convex(footprint, hulls, pair, radius, t_max, work):
+    return enter_convex(footprint, hulls, pair, radius, t_max, work)
+
+
+# ---- where a footprint is met
+
+
+@lean_kernel
+def edge_of_polygon(footprint, hulls, scale, feature, place, direction):
+    """`edge_met` of a polygon."""
+    return edge_of(rim_of(footprint, hulls, scale), feature - FACE)
+
+
+ALONG = 2.0**-40  # of its length: an edge that crosses a line by less runs along it
+
+
+@lean_kernel
+def edge_of_any(footprint, hulls, scale, feature, place, direction):
+    """The same, or the edge of a triangle's shadow through which a line from a place enters it."""
+    if not are_shadows(footprint, hulls):
+        return edge_of_polygon(footprint, hulls, scale, feature, place, direction)
+    places = stack_array((3, 3), np.float64)
+    rim = rim_of_shadow(shadows_of(footprint, hulls), feature - FACE, scale, places)
+    # Without one, along an edge or past a corner, what faces the line.
+    best, found_x, found_y = np.inf, direction[1], -direction[0]
+    for i in range(3):
+        corner_x, corner_y = corner_of(rim, i)
+        x, y = edge_of(rim, i)
+        offset_x, offset_y = corner_x - place[0], corner_y - place[1]
+        before = offset_y * direction[0] - offset_x * direction[1]
+        after = (offset_y + y) * direction[0] - (offset_x + x) * direction[1]
+        if before >= 0.0 >= after and before - after > ALONG * (abs(x) + abs(y)):
+            share = before / (before - after)
+            s = (offset_x + share * x) * direction[0] + (offset_y + share * y) * direction[1]
+            if s < best:
+                best, found_x, found_y = s, x, y
+    return found_x, found_y
+
+
+@chosen_by_types
+def edge_met(footprint, hulls, scale, feature, place, direction):
+    """From one end of the edge that a feature is to the other: (x, y); outside is to the right."""
+    return _edge_of_any if are_any(hulls) else _edge_of_polygon
+
+
+def _edge_of_any(footprint, hulls, scale, feature, place, direction):
+    return edge_of_any(footprint, hulls, scale, feature, place, direction)
+
+
+def _edge_of_polygon(footprint, hulls, scale, feature, place, direction):
+    return edge_of_polygon(footprint, hulls, scale, feature, place, direction)
+
+
 @lean_kernel
 def look_out(footprint, hulls, scale, point, normal, closest):
     """`look_out_of_oval` of any footprint; of a polygon the direction from its rim, which is zero
@@ -184,7 +374,7 @@ def look_out(footprint, hulls, scale, point, normal, closest):
     """
     if footprint.oval:
         return look_out_of_oval(footprint, scale, point, normal, closest)
-    closest_on_polygon(rim_of(footprint, hulls, scale), point, closest)
+    closest_on_core(footprint, hulls, scale, point, closest)
     normal[0], normal[1] = point[0] - closest[0], point[1] - closest[1]
     return closest_on_footprint(footprint, hulls, scale, point, closest)
 
@@ -220,7 +410,7 @@ def touch_footprint(footprint, hulls, pair, hit, radius, work, point, normal):
         if gap <= noise:
             normal[0] = normal[1] = 0.0
     elif feature >= FACE:
-        x, y = edge_of(rim_of(footprint, hulls, scale), feature - FACE)
+        x, y = edge_met(footprint, hulls, scale, feature, centre, direction)
         if x == 0.0 and y == 0.0:  # a corner, in passing
             side = math.copysign(1.0, direction[1] * closest[0] - direction[0] * closest[1])
             x, y = side * direction[0], side * direction[1]

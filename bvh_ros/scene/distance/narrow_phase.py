@@ -488,7 +488,8 @@ def box_gap(one, other, ndim, points):
 # other.
 #
 # A solid that no surface comes near may still be inside another one. Then all of it is, part by
-# part, so one corner of each part tells.
+# part, so one corner of each part tells. Seen from above there is no such inside: the shadows of
+# its faces cover all of a solid's shadow.
 
 FRAMES = 2.0**-46  # of the lengths in play: more than what rounds a place from frame to frame
 
@@ -510,17 +511,17 @@ class Pair(NamedTuple):
 
 @lean_kernel
 def to_frame(shape, planar, place):
-    """Bring a place into the frame of a shape; one of a planar scene is turned already."""
+    """Bring a place into the frame of a shape; a mesh of a planar scene is turned already."""
     for axis in range(3):
         place[axis] -= shape.position[axis]
-    if not planar:
+    if not (planar and shape.kind == MESH):
         rotate(shape.orientation, place, -1.0)
 
 
 @lean_kernel
 def from_frame(shape, planar, place):
     """Bring a place back."""
-    if not planar:
+    if not (planar and shape.kind == MESH):
         rotate(shape.orientation, place, 1.0)
     for axis in range(3):
         place[axis] += shape.position[axis]
@@ -533,6 +534,13 @@ def fill_own_box(shape, hulls, face, box):
         box[0, axis], box[1, axis] = -shape.half[axis], shape.half[axis]
     if shape.kind == MESH:
         surface = surface_of(hulls, shape)
+        if surface.corners.shape[0] == 0:  # a polygon, that of a convex mesh seen from above
+            for row in range(surface.vertices.shape[0]):
+                for axis in range(3):
+                    place = surface.vertices[row, axis]
+                    box[0, axis] = place if row == 0 else min(box[0, axis], place)
+                    box[1, axis] = place if row == 0 else max(box[1, axis], place)
+            return
         node = surface.root if face == NONE else 2 * face
         for axis in range(3):
             box[0, axis], box[1, axis] = surface.nodes[node].lo[axis], surface.nodes[node].hi[axis]
@@ -559,6 +567,8 @@ def fill_box_in_frame(pair, box):
     for axis in range(3):
         box[0, axis] -= FRAMES * size
         box[1, axis] += FRAMES * size
+    if pair.planar:  # seen from above, heights do not count
+        box[0, 2], box[1, 2] = -np.inf, np.inf
 
 
 @inlined

@@ -580,10 +580,12 @@ def signed_distance_in_obstacle(shape, bodies, centre, found, row):
 @lean_kernel
 def depth_in_any(hulls, shape, centre, planar, points, normal):
     """`depth_of_point` in a shape that may have a mesh of any form: of one that is not convex, the
-    distance from its surface.
+    distance from its surface; seen from above inf, as `NO_DEPTH` says.
     """
     if form_of(hulls, shape) == CONVEX:
         return depth_of_point(centre, shape, hulls, planar, points, normal)
+    if planar:
+        return -NO_DEPTH
     local, closest = stack_array(3, np.float64), points[1]
     for axis in range(3):
         local[axis] = points[0, axis] = centre[axis]
@@ -609,11 +611,14 @@ def _in_convex(hulls, shape, centre, planar, points, normal):
     return depth_of_point(centre, shape, hulls, planar, points, normal)
 
 
-NO_DEPTH = -np.inf  # of a mesh that is not convex and anything but a ball
+# Instead of minus a depth, where a mesh that is not convex touches anything but a ball; seen from
+# above, anything. The way out of its shadow, the union of those of its triangles, is not known:
+# the nearest edge of a triangle may lie within another one.
+NO_DEPTH = -np.inf
 
 
 @lean_kernel
-def ball_in_any(one, other, bodies, points):
+def ball_in_any(one, other, bodies, distance, points):
     """`signed_by_surface` where there are meshes of any form."""
     hulls, sign, ball, place = bodies.hulls, 1.0, one, stack_array(3, np.float64)
     mesh, side = other, 0
@@ -622,8 +627,8 @@ def ball_in_any(one, other, bodies, points):
     form = form_of(hulls, mesh)
     if form == CONVEX:
         return np.inf
-    if ball.kind != SPHERE or form != SOLID:
-        return NO_DEPTH
+    if bodies.footprints is not None or ball.kind != SPHERE or form != SOLID:
+        return distance if distance > 0.0 else NO_DEPTH
     for axis in range(3):
         place[axis] = ball.position[axis]
     to_frame(mesh, False, place)
@@ -640,18 +645,19 @@ def ball_in_any(one, other, bodies, points):
 
 
 @chosen_by_types
-def signed_by_surface(hulls, one, other, bodies, points):
+def signed_by_surface(hulls, one, other, bodies, distance, points):
     """Signed distance of a ball from the surface of a solid that is not convex, with the points
-    that are so far apart. NO_DEPTH if it is no ball or no solid, inf if both are convex.
+    that are so far apart. Of other pairs with such a mesh `distance` if it is above 0, else
+    NO_DEPTH; inf if both are convex.
     """
     return _by_surface if are_any(hulls) else _by_depth
 
 
-def _by_surface(hulls, one, other, bodies, points):
-    return ball_in_any(one, other, bodies, points)
+def _by_surface(hulls, one, other, bodies, distance, points):
+    return ball_in_any(one, other, bodies, distance, points)
 
 
-def _by_depth(hulls, one, other, bodies, points):
+def _by_depth(hulls, one, other, bodies, distance, points):
     return np.inf
 
 
@@ -660,7 +666,7 @@ def signed_distance_of_shapes(one, other, bodies, distance, points):
     """Minus the depth of a shape in an obstacle where their distance is 0; then fill in the points
     of their surfaces that are so far apart.
     """
-    signed = signed_by_surface(bodies.hulls, one, other, bodies, points)
+    signed = signed_by_surface(bodies.hulls, one, other, bodies, distance, points)
     if signed < np.inf:
         return signed
     if distance > 0.0:

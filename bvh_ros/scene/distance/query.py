@@ -20,8 +20,8 @@ from ...tree.access import (
     overlap,
 )
 from ...tree.compiler import inlined, lean_kernel, stack_array
-from ..shapes.footprint import mark_not_convex, outlined
 from ..shapes.hull import Hulls, MeshStore
+from ..shapes.shadow import seen_from_above
 from ..shapes.shape import (
     BOX,
     FINE,
@@ -294,8 +294,6 @@ def query_rows(
         given = _row_by_row(given, count)
         form = canonicalise(given)
         bounds[:, 0], bounds[:, 1] = form.lo, form.hi
-        if planar and given.mesh is not None:
-            mark_not_convex(given.mesh, form)
     if np.count_nonzero(form.faults):  # but for FINE, which is 0
         for name, rows in zip(
             names, (given.position, given.size, given.orientation), strict=False
@@ -331,7 +329,7 @@ def _hulls(given: Shapes, form: Canonical, planar: bool) -> Hulls | None:
     rows = np.flatnonzero(form.records['kind'] == MESH)
     if not len(rows):
         return None
-    store, meshes = MeshStore(), outlined(given.mesh, form) if planar else given.mesh
+    store, meshes = MeshStore(), seen_from_above(given.mesh, form) if planar else given.mesh
     if meshes is not None:
         once, which = different(meshes[rows])
         form.records['mesh'][rows] = np.array([store.take(mesh) for mesh in once])[which]

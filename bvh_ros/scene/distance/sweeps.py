@@ -539,6 +539,7 @@ def contact_of_convex(hulls, bodies, body, box, motion, obstacle, drift, options
 class Approach(NamedTuple):
     """A convex body, or a triangle of one, on its way to an obstacle."""
 
+    planar: Any
     hulls: Any
     body: Any
     hull: Any
@@ -575,10 +576,12 @@ def fill_region(approach, region):
     for number in range(8):
         for axis in range(3):
             corner[axis] = hi[axis] if number >> axis & 1 == 1 else lo[axis]
-        to_frame(obstacle, False, corner)
+        to_frame(obstacle, approach.planar, corner)
         for axis in range(3):
             region[0, axis] = min(region[0, axis], corner[axis] - FRAMES * size)
             region[1, axis] = max(region[1, axis], corner[axis] + FRAMES * size)
+    if approach.planar:
+        region[0, 2], region[1, 2] = -np.inf, np.inf
 
 
 @inlined
@@ -595,8 +598,9 @@ def _look_at_hull(approach, other_hull, best):
     begin, end, latest = approach.span
     contact = stack_array((2, 3), np.float64)
     found = contact_of_hulls(
-        *(False, approach.body, approach.hull, approach.motion, approach.obstacle, other_hull),
-        *(approach.drift, approach.options, (begin, end, min(latest, best[0])), contact),
+        *(approach.planar, approach.body, approach.hull, approach.motion, approach.obstacle),
+        *(other_hull, approach.drift, approach.options),
+        *((begin, end, min(latest, best[0])), contact),
     )
     if found < best[0]:
         best[0] = found
@@ -629,15 +633,14 @@ def contact_of_any(hulls, bodies, body, box, motion, obstacle, drift, options, s
         return contact_of_convex(
             hulls, bodies, body, box, motion, obstacle, drift, options, span, contact
         )
-    best = stack_array(1, np.float64)
+    best, planar = stack_array(1, np.float64), bodies.footprints is not None
     best[0] = np.inf
-    if span[0] == 0.0 and is_inside(bodies, body, motion, obstacle, drift, contact):
+    if not planar and span[0] == 0.0 and is_inside(bodies, body, motion, obstacle, drift, contact):
         return 0.0
     if mine == CONVEX:
         hull = hull_of(bodies.query_hulls, body)
-        meet_obstacle(
-            Approach(hulls, body, hull, box, motion, obstacle, drift, options, span, contact), best
-        )
+        way = body, hull, box, motion, obstacle, drift, options, span, contact
+        meet_obstacle(Approach(planar, hulls, *way), best)
         return best[0]
     surface = surface_of(bodies.query_hulls, body)
     places, own = stack_array((3, 3), np.float64), stack_array((2, 3), np.float64)
@@ -647,9 +650,8 @@ def contact_of_any(hulls, bodies, body, box, motion, obstacle, drift, options, s
         for axis in range(3):
             own[0, axis] = body.position[axis] + node.lo[axis]
             own[1, axis] = body.position[axis] + node.hi[axis]
-        meet_obstacle(
-            Approach(hulls, body, hull, own, motion, obstacle, drift, options, span, contact), best
-        )
+        way = body, hull, own, motion, obstacle, drift, options, span, contact
+        meet_obstacle(Approach(planar, hulls, *way), best)
     return best[0]
 
 

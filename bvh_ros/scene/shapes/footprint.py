@@ -3,75 +3,16 @@
 """Footprints: shapes seen from above, for planar scenes."""
 
 import math
-from typing import Any, ClassVar, NamedTuple
-from weakref import WeakValueDictionary
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ...tree.access import node_dtype
-from ...tree.compiler import inlined, lean_kernel, stack_array
-from .mesh import CONVEX, LANES, NUMBERS, Mesh, convex_polygon, digest
-from .shape import FINE, MESH, NOT_CONVEX, Canonical, Floats, ShapeKind, Shapes, rotations
-
-# ---- Convex polygons: meshes seen from above, for planar scenes.
-
-
-class Polygon:
-    """What is seen of a mesh in one pose: all that a planar scene needs of it.
-
-    It stands in for the mesh in a `MeshStore`, as one without triangles.
-    """
-
-    discs: ClassVar[Floats] = np.empty((0, NUMBERS, LANES))
-    corners: ClassVar[NDArray[np.int32]] = np.empty((0, 3), np.int32)
-    rows: ClassVar[NDArray[np.int32]] = np.empty(0, np.int32)
-    normals: ClassVar[Floats] = np.empty((0, 3))
-    tree: ClassVar[tuple[NDArray[Any], int]] = (np.empty(0, node_dtype(3)), 0)
-    radius: ClassVar[float] = 0.0
-    form: ClassVar[int] = CONVEX
-
-    def __init__(self, mesh: Mesh, orientation: Floats) -> None:
-        self.mesh = mesh
-        """Kept, so that `mesh_of` knows it while it is in use."""
-        turn = rotations(orientation[None])[0]
-        upright = not orientation[:2].any()
-        corners = mesh.outline if upright else convex_polygon(mesh.vertices @ turn[:2].T)
-        if upright:
-            corners = corners @ turn[:2, :2].T
-        self.vertices: Floats = np.column_stack((corners, np.zeros(len(corners))))
-        """(k, 3) corners counter-clockwise, turned, from the centre; z is 0."""
-        self.seeds: Floats = self.vertices[:1]
-        self.key = digest(self.vertices)
-        """The same for equal polygons."""
-
-
-_in_use: WeakValueDictionary[tuple[bytes, bytes], Polygon] = WeakValueDictionary()
-
-
-def mark_not_convex(meshes: NDArray[np.object_], form: Canonical) -> None:
-    """Mark the canonical rows whose meshes are not convex: they have no polygon."""
-    for row in np.flatnonzero((form.records['kind'] == MESH) & (form.faults == FINE)).tolist():
-        if not meshes[row].convex:
-            form.faults[row] = NOT_CONVEX
-
-
-def outlined(meshes: NDArray[np.object_] | None, form: Canonical) -> NDArray[np.object_] | None:
-    """The polygons of the meshes of canonical rows; that of a mesh which only moves is there
-    already. A row whose mesh is not convex gets a fault.
-    """
-    if meshes is None:
-        return None
-    polygons = np.empty(len(meshes), object)
-    mark_not_convex(meshes, form)
-    is_mesh = (form.records['kind'] == MESH) & (form.faults == FINE)
-    for row in np.flatnonzero(is_mesh).tolist():
-        mesh, orientation = meshes[row], form.records['orientation'][row]
-        key = mesh.key, orientation.tobytes()
-        polygons[row] = _in_use.get(key) or Polygon(mesh, orientation)
-        _in_use[key] = polygons[row]
-    return polygons
-
+from ...tree.compiler import chosen_by_types, inlined, lean_kernel, stack_array
+from .hull import are_any, numbered_surface
+from .mesh import CONVEX
+from .shape import Floats, ShapeKind, Shapes, rotations
+from .surface import closest_on_surface
 
 # ---- Footprints: shapes seen from above, for planar scenes.
 #
@@ -79,7 +20,8 @@ def outlined(meshes: NDArray[np.object_] | None, form: Canonical) -> NDArray[np.
 # if it stands upright, else up to six corners. A ball casts a disc; a capsule a disc drawn along
 # a segment; a cylinder that stands a disc, one that lies a rectangle, and one that leans an
 # oval: an ellipse (its disc seen from above) drawn along a segment (its axis seen from above). A
-# mesh casts a polygon, which is kept with the meshes.
+# mesh casts a polygon if it is convex, else the shadows of its triangles: these are kept with the
+# meshes, see `shadow`.
 #
 # ____ ________ / \ ( ) / / zonogon ( -> ) oval: along ->, half length of the straight part,
 # \____/ (______) and the half axes of the ellipse
@@ -97,7 +39,7 @@ FOOTPRINT = np.dtype(
         ('largest', np.float64),  # half size that has a part in the footprint
         ('oval', np.bool_),
         ('shaped', np.bool_),
-        ('polygon', np.int32),  # of a mesh: 1 + its number in the store; else 0
+        ('polygon', np.int32),  # of a mesh: 1 + the number of its shadow in the store; else 0
     ],
     align=True,
 )
@@ -279,7 +221,7 @@ def closest_on_ellipse(a, b, x, y):
 
 # What of a shape's surface a ray enters: below are the axes of flat faces, see `slab.INSIDE`.
 ROUND = 3
-FACE = 4  # the first triangle of a mesh, or edge of a polygon
+FACE = 4  # the first triangle of a mesh, edge of a polygon, or shadow of a triangle
 
 
 class Rim(NamedTuple):
@@ -378,6 +320,74 @@ def rim_of(footprint, hulls, scale):
     return Rim(footprint.corners[:, :2], scale)
 
 
+# ---- Meshes that are not convex: the shadows of their triangles.
+
+
+@lean_kernel
+def are_shadows(footprint, hulls):
+    """Whether a footprint is that of a mesh that is not convex."""
+    if not (footprint.shaped and footprint.polygon > 0):
+        return False
+    return hulls.spans[footprint.polygon - 1].form != CONVEX
+
+
+@lean_kernel
+def shadows_of(footprint, hulls):
+    """The `Surface` of such a footprint: it lies at z = 0."""
+    return numbered_surface(hulls, footprint.polygon - 1)
+
+
+@lean_kernel
+def rim_of_shadow(surface, face, scale, places):
+    """The rim of a triangle's shadow; its corners are copied to `places` (3, 3)."""
+    for number in range(3):
+        corner = surface.vertices[surface.corners[face, number]]
+        for axis in range(3):
+            places[number, axis] = corner[axis]
+    return Rim(places[:, :2], scale)
+
+
+@lean_kernel
+def closest_on_shadows(surface, scale, point, out):
+    """As `closest_on_polygon`."""
+    place, closest = stack_array(3, np.float64), stack_array(3, np.float64)
+    place[0], place[1], place[2] = point[0] / scale, point[1] / scale, 0.0
+    distance = closest_on_surface(surface, place, closest)
+    out[0], out[1] = closest[0] * scale, closest[1] * scale
+    return distance * scale
+
+
+@lean_kernel
+def closest_on_convex(footprint, hulls, scale, point, out):
+    """`closest_on_core` of a polygon."""
+    return closest_on_polygon(rim_of(footprint, hulls, scale), point, out)
+
+
+@lean_kernel
+def closest_on_any(footprint, hulls, scale, point, out):
+    """`closest_on_core` of a polygon, or of the shadows of triangles."""
+    if are_shadows(footprint, hulls):
+        return closest_on_shadows(shadows_of(footprint, hulls), scale, point, out)
+    return closest_on_convex(footprint, hulls, scale, point, out)
+
+
+@chosen_by_types
+def closest_on_core(footprint, hulls, scale, point, out):
+    """`closest_on_polygon` of what a footprint, which is no oval, is without its radius."""
+    return _closest_on_any if are_any(hulls) else _closest_on_convex
+
+
+def _closest_on_any(footprint, hulls, scale, point, out):
+    return closest_on_any(footprint, hulls, scale, point, out)
+
+
+def _closest_on_convex(footprint, hulls, scale, point, out):
+    return closest_on_convex(footprint, hulls, scale, point, out)
+
+
+# ---- The closest point of a footprint.
+
+
 @lean_kernel
 def oval_of(footprint, scale):
     """See `oval`."""
@@ -390,7 +400,7 @@ def closest_on_footprint(footprint, hulls, scale, point, out):
     """Fill `out` with a footprint's closest point, `point` itself inside; return the distance."""
     if footprint.oval:
         return look_out_of_oval(footprint, scale, point, out, out)
-    distance = closest_on_polygon(rim_of(footprint, hulls, scale), point, out)
+    distance = closest_on_core(footprint, hulls, scale, point, out)
     radius = footprint.radius * scale
     if distance <= radius:
         out[0], out[1] = point[0], point[1]

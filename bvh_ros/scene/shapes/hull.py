@@ -1,6 +1,6 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The meshes of a scene, or their polygons seen from above, as kernels read them."""
+"""The meshes of a scene, or their shadows, as kernels read them."""
 
 from typing import Any, NamedTuple
 
@@ -10,12 +10,12 @@ from numpy.typing import NDArray
 
 from ...tree.access import node_dtype
 from ...tree.compiler import chosen_by_types, lean_kernel
-from .footprint import Polygon
 from .mesh import CONVEX, LANES, NUMBERS, Floats, Mesh
+from .shadow import Seen
 from .shape import MESH
 from .surface import Surface
 
-# ---- The meshes of a scene, or the polygons that a planar scene sees of them, and their arrays.
+# ---- The meshes of a scene, or what a planar scene sees of them, and their arrays.
 
 # Where the rows of a mesh are among all, first and last + 1; the root of its tree among its nodes.
 HULL = np.dtype(
@@ -96,7 +96,7 @@ class _Joined:
         ]
         self._all_convex = True
 
-    def add(self, number: int, mesh: Mesh | Polygon) -> None:
+    def add(self, number: int, mesh: Mesh | Seen) -> None:
         if number >= len(self._spans):
             spans = np.zeros(max(number + 1, 2 * len(self._spans)), HULL)
             spans[: len(self._spans)] = self._spans
@@ -142,11 +142,11 @@ def of_one_type(hulls: Hulls, others: Hulls) -> tuple[Hulls, Hulls]:
 
 
 class MeshStore:
-    """The different meshes or polygons of a scene, each once, however many obstacles have it."""
+    """The different meshes or shadows of a scene, each once, however many obstacles have it."""
 
     def __init__(self) -> None:
         self._numbers: dict[bytes, int] = {}
-        self.by_number: dict[int, Mesh | Polygon] = {}
+        self.by_number: dict[int, Mesh | Seen] = {}
         self._uses: dict[int, int] = {}
         self._free: list[int] = []  # numbers
         self._used = 0  # vertices
@@ -155,10 +155,10 @@ class MeshStore:
     def __len__(self) -> int:
         return len(self.by_number)
 
-    def __getitem__(self, number: int) -> Mesh | Polygon:
+    def __getitem__(self, number: int) -> Mesh | Seen:
         return self.by_number[number]
 
-    def take(self, mesh: Mesh | Polygon) -> int:
+    def take(self, mesh: Mesh | Seen) -> int:
         """Number of a mesh, used once more."""
         number = self._numbers.get(mesh.key)
         if number is None:
@@ -211,7 +211,13 @@ def form_of(hulls, shape):
 @lean_kernel
 def surface_of(hulls, shape):
     """The triangles of a shape's mesh."""
-    span = hulls.spans[shape.mesh]
+    return numbered_surface(hulls, shape.mesh)
+
+
+@lean_kernel
+def numbered_surface(hulls, number):
+    """The triangles of a mesh."""
+    span = hulls.spans[number]
     first, stop = span.faces[0], span.faces[1]
     return Surface(
         hulls.vertices[span.vertices[0] : span.vertices[1]],

@@ -833,16 +833,19 @@ class Mesh:
     @cached_property
     def tree(self) -> tuple[NDArray[Any], int]:
         """Nodes and root of a tree of the boxes around the triangles; slot k is triangle k."""
-        places = self.vertices[self.corners]
-        pad = PAD * float(self.size.max())
-        tree = OpenTree.from_boxes(places.min(axis=1) - pad, places.max(axis=1) + pad)
-        nodes, _, _, root = tree.arrays()
-        return nodes, int(root)
+        return tree_over(self.vertices[self.corners], float(self.size.max()))
 
     @cached_property
     def outline(self) -> Floats:
-        """(k, 2) corners, counter-clockwise, of what is seen from above of the unturned mesh."""
+        """(k, 2) corners, counter-clockwise, of what is seen from above of the unturned mesh, if
+        that is convex.
+        """
         return convex_polygon(self.vertices[:, :2])
+
+    @cached_property
+    def shadow(self) -> tuple[Floats, NDArray[np.int32]]:
+        """The same of any mesh: see `flattened`."""
+        return flattened(self.vertices, self.corners)
 
     @cached_property
     def discs(self) -> Floats:
@@ -862,6 +865,35 @@ class Mesh:
         number = connected_components(coo_matrix(links, (count, count)), directed=False)[1]
         used = np.unique(self.corners)
         return self.vertices[used[np.unique(number[used], return_index=True)[1]]]
+
+
+def tree_over(triangles: Floats, size: float) -> tuple[NDArray[Any], int]:
+    """Nodes and root of a tree of the boxes around triangles (m, 3, 3) of a mesh of some size."""
+    pad = PAD * size
+    tree = OpenTree.from_boxes(triangles.min(axis=1) - pad, triangles.max(axis=1) + pad)
+    nodes, _, _, root = tree.arrays()
+    return nodes, int(root)
+
+
+def flattened(places: Floats, corners: NDArray[np.int32]) -> tuple[Floats, NDArray[np.int32]]:
+    """The shadows of triangles, rows (m, 3) of places (k, 3), at z = 0: their different places,
+    and different rows of these, counter-clockwise. A triangle that stands upright is a segment,
+    with one corner twice; what lies along an edge of others is left out.
+    """
+    flat = places * (1.0, 1.0, 0.0) + 0.0  # of zeros one sign
+    first, number = coinciding(flat)
+    flat, rows = flat[first], np.sort(number[corners], axis=1)
+    rows = rows[np.unique(_one_number(rows), return_index=True)[1]]
+    upright = (np.diff(rows, axis=1) == 0).any(axis=1)
+    segments, rows = rows[upright], rows[~upright]
+    edges = rows[:, [0, 1, 1, 2, 0, 2]].reshape(-1, 2)
+    ends = segments[:, [0, 2]]
+    known = np.isin(ends @ (len(flat), 1), edges @ (len(flat), 1))
+    rows = np.concatenate([rows, ends[~known][:, [0, 1, 1]]])
+    one, two, three = (flat[rows[:, k]] for k in range(3))
+    clockwise = np.cross(two - one, three - one)[:, 2] < 0.0
+    rows[clockwise] = rows[clockwise][:, ::-1]
+    return flat, rows.astype(np.int32)
 
 
 def digest(*arrays: NDArray[Any]) -> bytes:

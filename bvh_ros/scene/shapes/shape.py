@@ -563,7 +563,6 @@ REASONS = (
     'a sphere, cylinder or capsule needs sizes above zero',
     'a capsule must be at least as long (size along z) as it is wide',
     'a mesh needs its Mesh and the size of it (see Shapes.of_meshes)',
-    'a planar scene takes convex meshes only',
     'its bounds exceed the largest double',
 )
 (
@@ -579,7 +578,6 @@ REASONS = (
     NO_SIZE,
     TOO_SHORT,
     NO_MESH,
-    NOT_CONVEX,
     TOO_LARGE,
 ) = range(len(REASONS))
 

@@ -251,6 +251,85 @@ def cross_within_plane(a, b, c, origin, direction, zero):
     return Crossing(max(first, 0.0) if last >= 0.0 else last, sign, False)
 
 
+# ---- where a line crosses a triangle, both at z = 0: seen from above
+
+
+@lean_kernel
+def flat_cross(place, origin, s, direction, base, goal):
+    """(place - origin - s direction) x (goal - base) in the plane, with the sign of the exact
+    value.
+    """
+    x = place[0] - origin[0] - s * direction[0]
+    y = place[1] - origin[1] - s * direction[1]
+    u, v = goal[0] - base[0], goal[1] - base[1]
+    wide = abs(place[0] - origin[0]) + abs(s * direction[0])
+    high = abs(place[1] - origin[1]) + abs(s * direction[1])
+    total = x * v - y * u
+    if abs(total) > SURE * (wide * abs(v) + high * abs(u)):
+        return total
+    return exact_flat_cross(place, origin, s, direction, base, goal) * max(abs(total), LEAST)
+
+
+@lean_kernel
+def exact_flat_cross(place, origin, s, direction, base, goal):
+    """The sign of that, without rounding."""
+    terms, count = stack_array(TERMS, np.float64), 0
+    one, two = stack_array(4, np.float64), stack_array(2, np.float64)
+    for axis in range(2):
+        other, sign = 1 - axis, 1.0 - 2.0 * axis
+        one[0], one[1] = two_sum(place[axis], -origin[axis])
+        one[2], one[3] = two_product(-s, direction[axis])
+        two[0], two[1] = two_sum(goal[other], -base[other])
+        for number in range(8):
+            high, low = two_product(one[number >> 1], two[number & 1])
+            terms[count], terms[count + 1] = sign * high, sign * low
+            count += 2
+    return sign_of_sum(terms, count)
+
+
+@lean_kernel
+def enter_flat(vertices, corner, origin, direction, zero, reach):
+    """How far a line goes until it is on a triangle, exactly 0 if it begins there; inf if it is
+    not up to a distance.
+
+    It is where corners of the triangle change sides. They have the same sides in all triangles, so
+    nothing slips between two; and a triangle without area is a segment.
+    """
+    sides, along = stack_array(3, np.float64), stack_array(3, np.float64)
+    across, square = stack_array(3, np.float64), direction[0] ** 2 + direction[1] ** 2
+    across[0], across[1] = -direction[1], direction[0]
+    for number in range(3):
+        place = vertices[corner[number]]
+        sides[number] = flat_cross(place, origin, 0.0, direction, zero, direction)
+        x, y = place[0] - origin[0], place[1] - origin[1]
+        along[number] = (x * direction[0] + y * direction[1]) / square
+    if min(sides[0], sides[1], sides[2]) > 0.0 or max(sides[0], sides[1], sides[2]) < 0.0:
+        return np.inf
+    first, before, after, within = np.inf, False, False, np.isinf(reach)
+    for number in range(3):
+        following = (number + 1) % 3
+        one, other, s = sides[number], sides[following], along[number]
+        place, goal = vertices[corner[number]], vertices[corner[following]]
+        begins, ends = 0.0, -1.0  # on which side of origin and end of the line it is crossed
+        if one == 0.0:
+            begins = flat_cross(place, origin, 0.0, direction, zero, across)
+            if not within:
+                ends = flat_cross(place, origin, reach, direction, zero, across)
+        elif min(one, other) < 0.0 < max(one, other):
+            s += (along[following] - s) * (one / (one - other))
+            sign = math.copysign(1.0, one)
+            begins = sign * flat_cross(place, origin, 0.0, direction, place, goal)
+            if not within:
+                ends = sign * flat_cross(place, origin, reach, direction, place, goal)
+        else:
+            continue
+        first, before, after = min(first, s), before or begins <= 0.0, after or begins >= 0.0
+        within = within or ends <= 0.0
+    if not (after and within):
+        return np.inf
+    return 0.0 if before else min(max(first, LEAST), reach)
+
+
 # ---- lines through the tree of a mesh
 
 
@@ -343,6 +422,23 @@ def first_crossing(surface, ray, reach):
     """
     set_ray(ray, ray[ORIGIN], ray[DIRECTION])
     first = visit_line(surface, ray, reach, First(np.inf, np.int64(NONE), reach), _visit_first)
+    return first.s, first.face
+
+
+@inlined
+def _visit_flat(surface, ray, face, zero, found):
+    corner = surface.corners[face]
+    s = enter_flat(surface.vertices, corner, ray[ORIGIN], ray[DIRECTION], zero, found.reach)
+    if s < found.s or (s == found.s and face < found.face):
+        found = First(s, face, found.reach)
+    return found, min(found.s, found.reach * (1.0 + CLOSE))
+
+
+@lean_kernel
+def first_flat(surface, ray, reach):
+    """`first_crossing` where all lies at z = 0; s is exactly 0 if a triangle holds the origin."""
+    set_ray(ray, ray[ORIGIN], ray[DIRECTION])
+    first = visit_line(surface, ray, reach, First(np.inf, np.int64(NONE), reach), _visit_flat)
     return first.s, first.face
 
 

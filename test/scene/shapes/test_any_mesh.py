@@ -351,17 +351,6 @@ def test_what_is_inside_touches_and_a_hollow_is_free():
         assert (scene.clearance('small').distance == 0.0) == wanted
 
 
-def test_a_planar_scene_refuses_them():
-    scene = Scene(planar=True)
-    shapes = Shapes.of_meshes(Mesh(SOLIDS['ring']), [0, 0, 0])
-    (refusal,) = scene.update('test', ['ring'], shapes, stamp=1)
-    assert 'convex meshes only' in refusal.reason
-    with pytest.raises(ValueError, match='convex meshes only'):
-        scene.overlap_shape(shapes)
-    with pytest.raises(ValueError, match='convex meshes only'):
-        scene.sweep_shape(shapes, (1, 0, 0))
-
-
 def test_one_that_moves():
     """At a time a ring stands elsewhere: rays, points and boxes see it there."""
     scene = Scene()
