@@ -255,10 +255,10 @@ class Inspection:
         without a triangle are left out.
         """
         columns, found = self._store.columns, []
-        met = [hit for hit in hits if hit[1] >= 0]
-        slots = np.flatnonzero(np.isin(columns.node_handle, [hit[0] for hit in met]))
+        at_meshes = [hit for hit in hits if hit[1] >= 0]
+        slots = np.flatnonzero(np.isin(columns.node_handle, [hit[0] for hit in at_meshes]))
         slot_of = dict(zip(columns.node_handle[slots].tolist(), slots.tolist(), strict=True))
-        for handle, triangle, (u, v), point in met:
+        for handle, triangle, (u, v), point in at_meshes:
             shape = columns.geometry[slot_of[handle]]
             mesh = columns.meshes[int(shape['mesh'])]
             face = mesh.corners[np.searchsorted(mesh.rows, triangle)]

@@ -59,7 +59,7 @@ class SceneHit(_Hit):
     obstacle, of a ray that starts in the solid, and every hit in a planar scene.
     """
 
-    _met: Floats | None = None  # row, u and v of the triangle; None: there is none
+    _triangle: Floats | None = None  # row, u and v of the triangle; None: there is none
 
     @property
     def triangle(self) -> int:
@@ -67,7 +67,7 @@ class SceneHit(_Hit):
 
         On an edge or corner of several triangles it is the lowest row of theirs.
         """
-        return -1 if self._met is None else int(self._met[0])
+        return -1 if self._triangle is None else int(self._triangle[0])
 
     @property
     def uv(self) -> Floats:
@@ -76,11 +76,11 @@ class SceneHit(_Hit):
         The point is ``(1 - u - v) * a + u * b + v * c``. a, b and c are the triangle's corners, in
         the order as given, where the mesh stands. u, v and u + v are from 0 to 1.
         """
-        return np.full(2, np.nan) if self._met is None else self._met[1:]
+        return np.full(2, np.nan) if self._triangle is None else self._triangle[1:]
 
     def _replace(self, **fields: Any) -> SceneHit:
         hit = super()._replace(**fields)
-        hit._met = self._met
+        hit._triangle = self._triangle
         return hit
 
     def __repr__(self) -> str:
@@ -109,42 +109,46 @@ class CastHits(_Casts):
     As a tuple it has four fields: handles, t, points and normals.
     """
 
-    _met: Floats | None = None  # (n, 3) row, u and v of triangles; None: there are none
+    _triangles: Floats | None = None  # (n, 3) row, u and v of triangles; None: there are none
 
     @cached_property
     def triangles(self) -> NDArray[np.int64]:
         """(n,) rows of triangles, as `SceneHit.triangle`; -1 where a way is free, too."""
-        if self._met is None:
+        if self._triangles is None:
             return np.full(len(self.handles), -1)
-        return self._met[:, 0].astype(np.int64)
+        return self._triangles[:, 0].astype(np.int64)
 
     @cached_property
     def uv(self) -> Floats:
         """(n, 2) as `SceneHit.uv`; NaN where the triangle is -1."""
-        if self._met is None:
+        if self._triangles is None:
             return np.full((len(self.handles), 2), np.nan)
-        return np.ascontiguousarray(self._met[:, 1:])
+        return np.ascontiguousarray(self._triangles[:, 1:])
 
     def _replace(self, **fields: Any) -> CastHits:
-        return cast_hits(super()._replace(**fields), self._met)
+        return cast_hits(super()._replace(**fields), self._triangles)
 
     def __repr__(self) -> str:
         return shown_rows('CastHits', self.handles != NO_NODE, 'rays hit', 't', self.t)
 
 
-def cast_hits(columns: Any, met: Floats | None) -> CastHits:
+def cast_hits(columns: Any, triangles: Floats | None) -> CastHits:
     """Hits of four columns, and the triangles (n, 3) that are met: row, u, v; None: none."""
     # As CastHits(...), which would take one more call of a function of Python's.
     hits = tuple.__new__(CastHits, columns)
-    if met is not None:
-        hits._met = met
+    if triangles is not None:
+        hits._triangles = triangles
     return hits
 
 
 def joined_hits(parts: Sequence[CastHits]) -> CastHits:
     """Hits one after the other; all or none of them have triangles."""
-    met = None if parts[0]._met is None else np.concatenate([part._met for part in parts])
-    return cast_hits([np.concatenate(column) for column in zip(*parts, strict=True)], met)
+    triangles = (
+        None
+        if parts[0]._triangles is None
+        else np.concatenate([part._triangles for part in parts])
+    )
+    return cast_hits([np.concatenate(column) for column in zip(*parts, strict=True)], triangles)
 
 
 class ShapeSweeps(NamedTuple):

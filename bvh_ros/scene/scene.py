@@ -211,8 +211,8 @@ class Scene(RayQueries, OverlapQueries, DistanceQueries, SweepQueries):
             level = ((0, 0), (0, 3 - ndim))
             hits = self.sweep_many(np.pad(starts, level), np.pad(goals, level))
             columns = hits.handles.tolist(), hits.triangles.tolist(), hits.uv, hits.points
-            met = inspection.triangles_met(zip(*columns, strict=True))
-            return hits.t, plotting.around(met[..., :ndim])
+            triangles = inspection.triangles_met(zip(*columns, strict=True))
+            return hits.t, plotting.around(triangles[..., :ndim])
 
         world = plotting.World(ndim, self.bounds, inspection.faces(), inspection.tree_levels, cast)
         return plotting.picture(axes, world, levels, rays, hits)

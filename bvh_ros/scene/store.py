@@ -402,15 +402,15 @@ class Obstacles:
         return len(self.registry)
 
     def hit(
-        self, slot: int, t: float, point: Floats, normal: Floats, met: Floats | None = None
+        self, slot: int, t: float, point: Floats, normal: Floats, triangle: Floats | None = None
     ) -> SceneHit:
-        """What a query tells of an obstacle; `met` as of `results.SceneHit`."""
+        """What a query tells of an obstacle; `triangle`: row, u and v."""
         columns = self.columns
         handle, stamp = columns.node_handle.item(slot), columns.stamp.item(slot)
         fields = self.registry.name(slot), handle, t, point, normal, stamp
         hit = tuple.__new__(SceneHit, fields)  # half the time of SceneHit(...)
-        if met is not None:
-            hit._met = met
+        if triangle is not None:
+            hit._triangle = triangle
         return hit
 
     def hits(self, found: Any, rows: list[int]) -> list[SceneHit]:

@@ -122,8 +122,8 @@ def in_words(answer: Answer) -> str:
     rest = len(answer.hits) - SHOWN
     more = f' and {rest} more' if rest > 0 else ''
     first = answer.hits[0]
-    met = f', triangle {first.triangle}' if first.triangle >= 0 else ''
-    return f'{names}{more} at ({in_digits(*first.point)}) m{met} {took}'
+    row = f', triangle {first.triangle}' if first.triangle >= 0 else ''
+    return f'{names}{more} at ({in_digits(*first.point)}) m{row} {took}'
 
 
 def in_digits(*metres: float) -> str:

@@ -51,9 +51,9 @@ def answer_of_ray(scene: NodeScene, hit: SceneHit | None, began: float) -> Answe
     if hit is None:
         return answer([], began)
     found = answer([hit], began)
-    met = scene.triangles_met([(hit.handle, hit.triangle, hit.uv, hit.point)])
+    triangles = scene.triangles_met([(hit.handle, hit.triangle, hit.uv, hit.point)])
     hits = [found.hits[0]._replace(triangle=hit.triangle)]
-    return found._replace(hits=hits, edges=plotting.around(met))
+    return found._replace(hits=hits, edges=plotting.around(triangles))
 
 
 class Group(NamedTuple):

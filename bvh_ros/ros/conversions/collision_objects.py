@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 
 from bvh_ros.ros.cdr.any_message import Columns
 from bvh_ros.ros.conversions import rotations
-from bvh_ros.ros.conversions.markers import examined
-from bvh_ros.ros.conversions.placing import IntoNode, Placing
+from bvh_ros.ros.conversions.placing import IntoNode, Placing, examined
 from bvh_ros.ros.world.frames import Transform
 from bvh_ros.scene import AS_CONVEX, ShapeKind, Shapes, unchecked_shapes
 from bvh_ros.scene.shapes.shape import FINE, REASONS, as_shapes, canonicalise

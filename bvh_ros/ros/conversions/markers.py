@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bvh_ros.ros.conversions import rotations
-from bvh_ros.ros.conversions.placing import IntoNode, Placing
+from bvh_ros.ros.conversions.placing import IntoNode, Placing, examined
 from bvh_ros.ros.texts import shortened
 from bvh_ros.ros.world.frames import Transform
 from bvh_ros.scene import (
@@ -22,11 +22,9 @@ from bvh_ros.scene import (
     Refusals,
     ShapeKind,
     Shapes,
-    mesh_of,
     unchecked_shapes,
 )
 from bvh_ros.scene.shapes.shape import FINE, as_shapes, canonicalise
-from bvh_ros.scene.store import run_in_thread
 
 if TYPE_CHECKING:
     from bvh_ros.ros.sources.mesh_resources import MeshFile, MeshFiles
@@ -53,38 +51,6 @@ class MarkerTable(NamedTuple):
     points: Callable[[int], Floats]  # of a row, (k, 3)
     resource: Callable[[int], str]  # of a row, the URI of its mesh
     colours: Callable[[int], Floats]  # of a row's points, (k, 4), or none
-
-
-# Triangles to meshes, while others have their turn.
-
-MANY_TRIANGLES = 500  # triangles: more take longer than 10 ms
-
-
-def examined(triangles: Floats, planar: bool, form: str) -> Generator[None, None, Mesh]:
-    """Make a mesh of triangles (n, 3, 3) and all that a scene needs of it; pause now and then.
-
-    A large one takes a second, most of it in numpy, so another thread examines it.
-
-    Raises
-    ------
-    ValueError
-        If they are no mesh of that form, as of `mesh_of`.
-    """
-    if len(triangles) <= MANY_TRIANGLES:
-        mesh = _examine(triangles, planar, form)
-        yield
-        return mesh
-    return (yield from run_in_thread(_examine, triangles, planar, form))
-
-
-def _examine(triangles: Floats, planar: bool, form: str) -> Mesh:
-    mesh = mesh_of(triangles, form)
-    # Made when they are first asked for, and kept.
-    if planar:
-        _ = mesh.outline if mesh.convex else mesh.shadow
-    else:
-        _ = mesh.tree, mesh.discs, mesh.seeds
-    return mesh
 
 
 # What a MarkerArray leaves standing, when its markers are read in order.
@@ -414,7 +380,7 @@ class _Reader:
                 self.meshes[row] = yield from files.mesh(*given, planar=self.planar)
             except ValueError as error:
                 self.refuse_file(row, error)
-        files.kept = [self.meshes[row] for row in found if row in self.meshes]
+        files.latest = [self.meshes[row] for row in found if row in self.meshes]
 
     def refuse_file(self, row: int, reason: ValueError) -> None:
         uri = shortened(self.table.resource(row))

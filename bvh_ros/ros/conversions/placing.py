@@ -1,6 +1,6 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Rows of a message: how they are named, and how they get into the node's frame."""
+"""What all messages of obstacles need: names of parts, meshes of triangles, frames of rows."""
 
 from __future__ import annotations
 
@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bvh_ros.ros.world.frames import FrameError, Transform
-from bvh_ros.scene import Families, Shapes
+from bvh_ros.scene import Families, Mesh, Shapes, mesh_of
+from bvh_ros.scene.store import run_in_thread
 
 # ---- Names of obstacles that are numbered parts of something
 
@@ -32,6 +33,41 @@ def numbered(spans: Mapping[str, range], after: Families = NOTHING) -> Families:
         np.concatenate((after.family, family)),
         np.concatenate((after.numbers, *numbers)),
     )
+
+
+# ---- Triangles to meshes, while others have their turn
+
+
+MANY_TRIANGLES = 500  # triangles: more take longer than 10 ms
+
+
+def examined(
+    triangles: NDArray[np.float64], planar: bool, form: str
+) -> Generator[None, None, Mesh]:
+    """Make a mesh of triangles (n, 3, 3) and all that a scene needs of it; pause now and then.
+
+    A large one takes a second, most of it in numpy, so another thread examines it.
+
+    Raises
+    ------
+    ValueError
+        If they are no mesh of that form, as of `mesh_of`.
+    """
+    if len(triangles) <= MANY_TRIANGLES:
+        mesh = _examine(triangles, planar, form)
+        yield
+        return mesh
+    return (yield from run_in_thread(_examine, triangles, planar, form))
+
+
+def _examine(triangles: NDArray[np.float64], planar: bool, form: str) -> Mesh:
+    mesh = mesh_of(triangles, form)
+    # Each is made when it is first read, and stays.
+    if planar:
+        _ = mesh.outline if mesh.convex else mesh.shadow
+    else:
+        _ = mesh.tree, mesh.discs, mesh.seeds
+    return mesh
 
 
 # ---- Frames of rows

@@ -248,8 +248,9 @@ class QueryDrawing(OnDemandPublisher):
             half = np.abs(half)[None] + query.tolerance
             ends = outlines.edges(-half, half)
             lines = (start + goal) * 0.5 + rotations.rotate(turn, ends)
-        met = scene.triangles_met((hit.handle, hit.triangle, hit.uv, hit.point) for hit in hits)
-        lines = np.concatenate((lines, plotting.around(met)))
+        rows = ((hit.handle, hit.triangle, hit.uv, hit.point) for hit in hits)
+        triangles = scene.triangles_met(rows)
+        lines = np.concatenate((lines, plotting.around(triangles)))
         blocked = np.full(len(lines), bool(hits))
         self._remember((query, is_box), Answer(lines, blocked, spots))
 

@@ -25,7 +25,7 @@ from weakref import WeakValueDictionary
 import numpy as np
 from numpy.typing import NDArray
 
-from bvh_ros.ros.conversions.markers import examined
+from bvh_ros.ros.conversions.placing import examined
 from bvh_ros.ros.texts import shortened
 from bvh_ros.scene import Mesh
 from bvh_ros.scene.shapes import mesh_file
@@ -60,7 +60,7 @@ class MeshFiles:
 
     def __init__(self, folders: Sequence[str], max_triangles: int, max_bytes: int) -> None:
         self.loading = ''  # the URI that is being loaded
-        self.kept: list[Mesh] = []  # of the last message, so that they can come and go
+        self.latest: list[Mesh] = []  # of the last message, so that they can come and go
         self._folders = [os.path.realpath(folder) for folder in folders]
         self._limits = max_triangles, max_bytes
         self._meshes: WeakValueDictionary[object, Mesh] = WeakValueDictionary()
