@@ -13,6 +13,7 @@ from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
 from bvh_ros.scene import NO_NODE, Mesh, Scene, Shapes
+from bvh_ros.scene.shapes.hull import Hulls
 
 CORNER = np.concatenate([box((0, 0, 0), (9, 3, 2)), box((0, 0, 0), (3, 9, 2))])  # an L
 FENCE = np.array([((0, 0, 0), (6, 0, 0), (6, 0, 3)), ((0, 0, 0), (6, 0, 3), (0, 0, 3))])
@@ -481,6 +482,14 @@ def test_a_shadow_is_shared_and_kept_while_its_mesh_only_moves():
     assert scene.raycast((1, -9), (1, 9)).name == 'box'
 
 
+def test_a_picture_shows_the_triangles():
+    """Not what is around them: the nook of a corner stays empty."""
+    scene = scene_of(Shapes.of_meshes(Mesh(CORNER), [0, 0, 0]), planar=True)
+    (faces,) = scene._inspection.faces().values()
+    assert len(faces) == len(Mesh(CORNER).corners)
+    assert all((face <= (9, 3)).all() or (face <= (3, 9)).all() for face in faces)
+
+
 def test_other_obstacles_stay_as_they_are():
     """Boxes, balls, cylinders and convex meshes beside one that is not convex."""
     turned = [(0, 0, 0.6, 0.8)]
@@ -495,7 +504,8 @@ def test_other_obstacles_stay_as_they_are():
     for scene in (plain, mixed):
         for i, shape in enumerate(shapes):
             scene.update('test', [f'{i}'], shape, stamp=1)
-    mixed.update('test', ['corner'], Shapes.of_meshes(Mesh(CORNER), [0, 0, 0]), stamp=1)
+    assert type(plain._store.columns.hulls) is Hulls  # nothing else is compiled
+    mixed.update('test', ['corner'], Shapes.of_meshes(Mesh(CORNER), [-90, 0, 0]), stamp=1)
     rng = np.random.default_rng(3)
     starts = np.column_stack([rng.uniform(14, 26, 200), rng.uniform(-4, 40, 200)])
     goals = np.column_stack([rng.uniform(14, 26, 200), rng.uniform(-4, 40, 200)])
