@@ -258,7 +258,11 @@ def first_of_one(
         for hit in cast_ball(tree, columns, Sweep(start, goal - start, *ball, False)):
             return hit
         return None
-    return None if slot == NONE else (slot, t, *place)
+    if slot == NONE:
+        return None
+    if len(place) == 2:
+        return slot, t, place[0], place[1]
+    return slot, t, place[0], place[1], place[2]  # numpy takes a microsecond for *place
 
 
 def first_hits(tree: OpenTree, columns: Columns, rays: Rays, threads: int = 1) -> CastHits | None:
@@ -275,10 +279,11 @@ def first_hits(tree: OpenTree, columns: Columns, rays: Rays, threads: int = 1) -
     if threads == 1:  # without what others take: a tenth of a call of a row
         every = view, snapshot, shapes, handles, rays, (0, count), room, hits
         begun, _, version = code_for(cast_rows, shapes, every, room is None)(*every)
-        if begun == count and triangles is None:
-            return tuple.__new__(CastHits, parts)
         if begun == count:
-            return cast_hits(parts, triangles)
+            found: CastHits = tuple.__new__(CastHits, parts)
+            if triangles is not None:
+                found._met = triangles
+            return found
         if begun < 0:
             begun, (view, snapshot) = 0, tree_and_snapshot(tree, count)
         else:

@@ -515,7 +515,11 @@ def first_of_one(
         raise too_long(*ends)
     if tree.ndim == 2:
         place[0, 2] = ends[0][2]
-    return None if slot == NONE else (slot, t, *place)
+    if slot == NONE:
+        return None
+    if len(place) == 2:
+        return slot, t, place[0], place[1]
+    return slot, t, place[0], place[1], place[2]
 
 
 def cast_every(

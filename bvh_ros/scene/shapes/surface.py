@@ -561,16 +561,20 @@ def closest_on_triangle(vertices, corner, point, out):
     return best
 
 
+ROUNDED = 2.0**-50  # of the coordinates of a point at a triangle: how far off rounding leaves it
+
+
 @lean_kernel
 def coordinates_in(vertices, corner, point):
     """(u, v) of the point (1 - u - v) a + u b + v c of a triangle that is closest to a point at
     it, up to rounding; u, v and u + v are from 0 to 1.
 
-    Of a sliver rounding leaves no area to divide by: the edges are looked at, too.
+    Outside, and where rounding leaves a sliver too little area to divide by, it is on an edge.
     """
     a, b, c = vertices[corner[0]], vertices[corner[1]], vertices[corner[2]]
-    normal, widest = stack_array(3, np.float64), 0
+    normal, widest, largest = stack_array(3, np.float64), 0, 0.0
     for axis in range(3):
+        largest = max(largest, abs(point[axis]))
         y, z = (axis + 1) % 3, (axis + 2) % 3
         normal[axis] = (b[y] - a[y]) * (c[z] - a[z]) - (b[z] - a[z]) * (c[y] - a[y])
         if abs(normal[axis]) > abs(normal[widest]):
@@ -582,6 +586,8 @@ def coordinates_in(vertices, corner, point):
         v = ((b[y] - a[y]) * beside - (b[z] - a[z]) * above) / normal[widest]
         if u >= 0.0 and v >= 0.0 and u + v <= 1.0:
             best = gap_to(a, b, c, u, v, point)
+            if best <= (ROUNDED * largest) ** 2:  # nearly always
+                return u, v
     for number in range(3):
         start = a if number == 0 else (b if number == 1 else c)
         end = b if number == 0 else (c if number == 1 else a)
