@@ -12,7 +12,7 @@ from scene.shapes.test_any_mesh import SOLIDS, SURFACES, box, segments
 from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
-from bvh_ros.scene import NO_NODE, Mesh, Scene, Shapes
+from bvh_ros.scene import NO_NODE, Mesh, NodeScene, Scene, Shapes
 from bvh_ros.scene.shapes.hull import Hulls
 
 CORNER = np.concatenate([box((0, 0, 0), (9, 3, 2)), box((0, 0, 0), (3, 9, 2))])  # an L
@@ -518,3 +518,13 @@ def test_other_obstacles_stay_as_they_are():
     assert np.array_equal(one[1], other[1])
     one, other = (scene.overlap_many(starts, [1, 1], want='count') for scene in (plain, mixed))
     assert np.array_equal(one, other)
+
+
+def test_paths_of_a_node_collide_where_no_depth_is_known():
+    scene = NodeScene(planar=True)
+    scene.update('test', ['corner'], Shapes.of_meshes(Mesh(CORNER), [0, 0, 0]), stamp=1)
+    boxes = Shapes.boxes([(8, 8, 0), (4, 1, 0)], (1, 1, 1))
+    handles, found, mine, theirs = scene.collisions_many(boxes, 1, 1)
+    assert found.tolist() == [4.5, 0.0]
+    assert (handles != NO_NODE).all()
+    assert np.array_equal(mine[1], theirs[1])
