@@ -6,7 +6,7 @@ bvh_node &
 python examples/ask_a_node.py
 """
 
-import sys
+import argparse
 import time
 
 from needs import ROS, end_with
@@ -69,4 +69,6 @@ def main(name: str) -> None:
 
 
 if __name__ == '__main__':
-    main(sys.argv[1] if len(sys.argv) > 1 else '/bvh')
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument('name', nargs='?', default='/bvh', help='of the node')
+    main(parser.parse_args().name)

@@ -30,7 +30,7 @@ class FakeNode:
         self.node = rclpy.create_node(
             'bvh', context=context, start_parameter_services=False, enable_rosout=False
         )
-        self.requests = []
+        self.requests, self.compiles = [], False
         for name in services:
             self.offer(name)
         self.executor = SingleThreadedExecutor(context=context)
@@ -45,6 +45,10 @@ class FakeNode:
         self.requests.append(request)
         if request.tolerance == 99.0:
             time.sleep(0.5)
+        if self.compiles:
+            response.plan.poses = [PoseStamped()]
+            response.plan.poses[0].header.frame_id = 'error: compiling: 50 %'
+            return response
         count = 1 if request.tolerance == 7.0 else int(request.tolerance)
         for i in range(count):
             pose = PoseStamped()
@@ -306,6 +310,18 @@ def test_a_thousand_requests_on_the_way(client, context):
         executor.spin_until_future_complete(reply, 30.0)
         assert reply.done()
     executor.shutdown()
+
+
+def test_a_node_that_compiles_is_not_ready_after_a_shutdown(context, server, node):
+    server.compiles = True
+    client = BvhClient(node)
+    with pytest.raises(BvhTimeoutError, match='compiling: 50 %'):
+        client.wait_until_ready(1.0)
+    ending = threading.Timer(0.5, rclpy.shutdown, kwargs={'context': context})
+    ending.start()
+    with pytest.raises(BvhError, match='shut down'):
+        client.wait_until_ready(30.0)
+    ending.join()
 
 
 def test_nothing_can_be_asked_after_a_shutdown(context, server, node):

@@ -40,6 +40,7 @@ SCENE: dict[str, dict[str, Any]] = {
     'has_expired': {'now': 1},
     'name_of': {'handle': 1},
     'names': {'after': 0},
+    'names_of': {'handles': [1, 0xFFFFFFFF]},
     'nearest': {'point': ORIGIN, 'k': 1, 'max_distance': 9.0, 'mask': 1, 'signed': True, 'at': 0},
     'nearest_many': {'points': ROWS, 'k': 1, 'max_distance': 9.0, 'mask': 1, 'signed': False,
                      'threads': 1, 'at': 0},

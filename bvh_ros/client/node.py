@@ -125,6 +125,7 @@ class OneNode:
         except BvhTimeoutError:
             return 'compiling, or busy'
         except BvhError as error:
+            self._waiting.require_life()  # else the error is the node's answer
             return str(error) if str(error).startswith(messages.COMPILING) else ''
         return ''
 

@@ -186,7 +186,7 @@ class Waiting:
             If rclpy is shut down, or the node destroyed.
         """
         deadline = time.monotonic() + timeout
-        self._check()
+        self.require_life()
         if condition():
             return True
         wake = GuardCondition(None, None, context=self._node.context)
@@ -196,7 +196,7 @@ class Waiting:
             waits = [each.ask_if_due() for each in questions if not each.answer.done()]
             with suppress(InvalidHandle):  # another thread has destroyed a client meanwhile
                 self._take_what_comes(wake, min(left, LOOK if questions else POLL, *waits))
-            self._check()
+            self.require_life()
             if condition():
                 return True
         return False
@@ -245,7 +245,8 @@ class Waiting:
             if self._watched:  # another thread has added a question meanwhile
                 self._timer.reset()
 
-    def _check(self) -> None:
+    def require_life(self) -> None:
+        """Raise BvhError if rclpy is shut down, or the node destroyed."""
         if not self._node.context.ok():
             raise BvhError('rclpy is shut down')
         try:

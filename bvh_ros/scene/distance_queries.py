@@ -11,7 +11,7 @@ from ..tree.access import ALL, IS_CHANGED, NONE, checks
 from .distance import batch
 from .distance.batch import Near, Neighbours, Points, Signed
 from .distance.query import NO_GIVEN, given_rows, number_of, query_rows
-from .results import NO_NODE, Clearance, SceneHit
+from .results import NO_NODE, Clearance, Clearances, NearestObstacles, SceneHit
 from .shapes.shape import GEOMETRY, Floats, Shapes, as_shapes
 from .store import Obstacles
 from .timed_queries import TimedQueries
@@ -97,7 +97,7 @@ class DistanceQueries:
         Both by their true shapes; in a planar scene seen from above, the points at the height of
         the obstacle's centre. Two shapes that are no farther apart than their positions are
         rounded touch, see `narrow_phase`. `at` (ns): both where they are at that time. KeyError if
-        there is no obstacle of this name.
+        there is no obstacle of this name. For shapes that are no obstacles see `clearance_many`.
         """
         if self._store.change.unfinished:
             self._store.change.require_none()
@@ -143,7 +143,7 @@ class DistanceQueries:
         signed: bool = False,
         threads: int = 1,
         at: ArrayLike | None = None,
-    ) -> tuple[NDArray[np.uint32], Floats, Floats]:
+    ) -> NearestObstacles:
         """Return the obstacles nearest to each of n points; a row is what `nearest` says.
 
         Parameters
@@ -161,12 +161,8 @@ class DistanceQueries:
 
         Returns
         -------
-        handles : (n, k) uint32
-            Node handles, nearest first, then NO_NODE (0xFFFFFFFF).
-        distances : (n, k)
-            m; then inf.
-        points : (n, k, 3)
-            The obstacles' points closest to the given ones, m; then NaN.
+        NearestObstacles
+            handles and distances (n, k), and points (n, k, 3).
 
         Raises
         ------
@@ -200,7 +196,9 @@ class DistanceQueries:
             raise RuntimeError(IS_CHANGED)
         if signed:
             self._require_depths(near.distances[:, 0], near.handles[:, 0])
-        return tuple(near) if near[0].shape[1] == many else _padded(near, many)
+        columns = near if near[0].shape[1] == many else _padded(near, many)
+        # As NearestObstacles(...), which would take one more call of a function of Python's.
+        return tuple.__new__(NearestObstacles, columns)
 
     def clearance_many(
         self,
@@ -210,7 +208,7 @@ class DistanceQueries:
         signed: bool = False,
         threads: int = 1,
         at: ArrayLike | None = None,
-    ) -> tuple[NDArray[np.uint32], Floats, Floats, Floats]:
+    ) -> Clearances:
         """Return how far each of n shapes is from the nearest obstacle, ties by handle.
 
         A row is what `clearance` says of an obstacle of this shape; the shapes themselves are no
@@ -231,13 +229,8 @@ class DistanceQueries:
 
         Returns
         -------
-        handles : (n,) uint32
-            Node handles, NO_NODE (0xFFFFFFFF) where there is no obstacle.
-        distances : (n,)
-            m, 0 where they touch, or minus the depth; inf where there is none.
-        points, other_points : (n, 3)
-            The shape's point that is closest to the obstacle, and the obstacle's, m; NaN where
-            there is none.
+        Clearances
+            handles and distances (n,), points and other_points (n, 3).
 
         Raises
         ------
@@ -250,7 +243,8 @@ class DistanceQueries:
         if signed:
             self._require_depths(found.distances, found.handles)
         _, distances, points, other_points, handles = found
-        return handles, distances, points, other_points
+        # As Clearances(...), which would take one more call of a function of Python's.
+        return tuple.__new__(Clearances, (handles, distances, points, other_points))
 
     def _clear_many(
         self,

@@ -7,10 +7,10 @@ from collections.abc import Iterable, Iterator
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from ..tree.access import CORNERS, SIDES, Ids, checks
-from .results import LAST_NODE_HANDLE, Obstacle
+from .results import LAST_NODE_HANDLE, NO_NODE, Obstacle
 from .rows import text
 from .shapes.mesh import Mesh, convex_polygon
 from .shapes.shape import Floats, ShapeKind, Shapes, different, rotations, shapes_of
@@ -156,17 +156,19 @@ class Inspection:
 
     def names(self, after: int = 0) -> list[tuple[int, str]]:
         """(node handle, name) of the obstacles with a handle above `after`, by handle."""
-        return list(self.names_of(*self.newcomers(after)))
+        return list(self.names_still_there(*self.newcomers(after)))
 
     def newcomers(self, after: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Node handles above `after`, ascending, and a number for each that `names_of` takes."""
+        """Node handles above `after`, ascending, and a number for each that
+        `names_still_there` takes.
+        """
         slots = self._store.columns.used()
         slots = slots[~self._store.columns.shadow[slots]]
         handles = self._store.columns.node_handle[slots]
         first = int(np.searchsorted(handles, checks.whole('after', after, 0), side='right'))
         return handles[first:], slots[first:]
 
-    def names_of(
+    def names_still_there(
         self, handles: NDArray[np.int64], slots: NDArray[np.int64]
     ) -> Iterator[tuple[int, str]]:
         """(node handle, name) of those newcomers that are still there."""
@@ -178,9 +180,45 @@ class Inspection:
         """Name of the obstacle with this node handle. KeyError if there is none (any more)."""
         handle = checks.whole('handle', handle, 0)
         slots = np.flatnonzero(self._store.columns.node_handle == handle)
+        if handle == NO_NODE:
+            raise KeyError(f'handle {handle} is NO_NODE, no obstacle: names_of has None for it')
         if handle <= 0 or not len(slots):
             raise KeyError(f'no obstacle has the node handle {handle}')
         return self._store.registry.name(int(slots[0]))
+
+    def names_of(self, handles: ArrayLike) -> NDArray[np.object_]:
+        """Names of the obstacles with these node handles, as the answers of batches have them.
+
+        Parameters
+        ----------
+        handles : array_like of int, any shape
+            NO_NODE stands for no obstacle.
+
+        Returns
+        -------
+        ndarray of object, the same shape
+            A name each, None for NO_NODE.
+
+        Raises
+        ------
+        ValueError
+            If they are no handles.
+        KeyError
+            If an obstacle is not there (any more).
+        """
+        given = checks.array_of('handles', handles)
+        numbers = checks.numbers('handles', given.reshape(-1))
+        wanted, which = np.unique(numbers, return_inverse=True)
+        columns = self._store.columns.node_handle
+        slots = np.flatnonzero((columns > 0) & np.isin(columns, wanted))
+        slot_of = dict(zip(columns[slots].tolist(), slots.tolist(), strict=True))
+        names = np.empty(len(wanted), object)
+        for row, handle in enumerate(wanted.tolist()):
+            if handle in slot_of:
+                names[row] = self._store.registry.name(slot_of[handle])
+            elif handle != NO_NODE:
+                raise KeyError(f'no obstacle has the node handle {handle}')
+        return names[which.reshape(-1)].reshape(given.shape)
 
     def sources(self) -> list[str]:
         """The sources that ever had an obstacle."""

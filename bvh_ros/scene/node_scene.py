@@ -58,7 +58,7 @@ class NodeScene(Scene):
     # ---- what there is
 
     newcomers = method_of('_inspection', Inspection.newcomers)
-    names_of = method_of('_inspection', Inspection.names_of)
+    names_still_there = method_of('_inspection', Inspection.names_still_there)
     shapes_of = method_of('_inspection', Inspection.shapes_of)
     handles_of = method_of('_inspection', Inspection.handles_of)
     own_box = method_of('_inspection', Inspection.own_box)

@@ -189,6 +189,39 @@ class BoxHits(NamedTuple):
         return shown_rows('BoxHits', touched, 'boxes touched', 'distances', self.distances)
 
 
+class NearestObstacles(NamedTuple):
+    """The obstacles nearest to n points, at most k of each, nearest first."""
+
+    handles: NDArray[np.uint32]
+    """(n, k) node handles, then NO_NODE (0xFFFFFFFF)."""
+    distances: NDArray[np.float64]
+    """(n, k), m; then inf."""
+    points: NDArray[np.float64]
+    """(n, k, 3), m: the obstacles' points closest to the given ones; then NaN."""
+
+    def __repr__(self) -> str:
+        found = (self.handles != NO_NODE).any(axis=1)
+        nearest = self.distances[:, :1].ravel()
+        return shown_rows('NearestObstacles', found, 'points near one', 'distances', nearest)
+
+
+class Clearances(NamedTuple):
+    """How far n shapes are from the nearest obstacle."""
+
+    handles: NDArray[np.uint32]
+    """(n,) node handles, NO_NODE (0xFFFFFFFF) where there is no obstacle."""
+    distances: NDArray[np.float64]
+    """(n,), m: 0 where they touch, or minus the depth; inf where there is none."""
+    points: NDArray[np.float64]
+    """(n, 3), m: the shape's point that is closest to the obstacle; NaN where there is none."""
+    other_points: NDArray[np.float64]
+    """(n, 3), m: the obstacle's."""
+
+    def __repr__(self) -> str:
+        found = self.handles != NO_NODE
+        return shown_rows('Clearances', found, 'shapes near one', 'distances', self.distances)
+
+
 class Clearance(NamedTuple):
     """How far an obstacle is from the nearest other one."""
 

@@ -186,6 +186,7 @@ class Scene(RayQueries, OverlapQueries, DistanceQueries, SweepQueries):
     handles = method_of('_inspection', Inspection.handles)
     names = method_of('_inspection', Inspection.names)
     name_of = method_of('_inspection', Inspection.name_of)
+    names_of = method_of('_inspection', Inspection.names_of)
     sources = method_of('_inspection', Inspection.sources)
     stats = method_of('_inspection', Inspection.stats)
     count = method_of('_inspection', Inspection.count)

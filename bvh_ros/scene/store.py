@@ -438,7 +438,9 @@ class Obstacles:
         """Slot of a name. KeyError if there is none."""
         slot = self.registry.slot(name) if isinstance(name, str) else UNKNOWN
         if slot == UNKNOWN:
-            raise KeyError(name)
+            raise KeyError(
+                name if isinstance(name, str) else f'a name is a str, not {type(name).__name__}'
+            )
         return slot
 
     def members(self, source: str, group: str, besides: Slots | None = None) -> Slots:

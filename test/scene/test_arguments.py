@@ -199,6 +199,10 @@ def test_queries(scene):
         for ask in (scene.handles_of, scene.shapes_of):
             refused(scene, ask, bad, 1)
     refused(scene, scene.name_of, 10**400, only=KeyError)
+    for bad in ('x', 1.5, None, [True], [[1], [1, 2]]):
+        refused(scene, scene.names_of, bad)
+    for bad in (0, -1, 5000, [1, 5000]):
+        refused(scene, scene.names_of, bad, only=KeyError)
     third = fractions.Fraction(1, 3)
     assert scene.raycast((third, 0, 0), (third, 0, 9)).name == 'a'
 

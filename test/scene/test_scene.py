@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from scene.inside import store_of
 
-from bvh_ros.scene import NodeScene, Numbered, Shapes, unchecked_shapes
+from bvh_ros.scene import NodeScene, Numbered, Scene, Shapes, unchecked_shapes
 
 BOX = Shapes.boxes([[0, 0, 0]], [1, 1, 1])
 
@@ -164,3 +164,21 @@ def test_an_aligned_box_in_the_place_of_a_turned_one():
         hit = scene.raycast([-5, 0.5, 0], [5, 0.5, 0], radius)
         assert (hit.name, hit.t) == ('new', (3 - radius) / 10)
     assert [hit.name for hit in scene.overlap([1.5, 0.4, 0], [2, 0.5, 0])] == ['new']
+
+
+def test_names_of_handles_of_any_shape():
+    scene = Scene()
+    scene.update('s', ['a', 'b'], Shapes.boxes([[0, 0, 0], [5, 0, 0]], [1, 1, 1]), stamp=0)
+    hits = scene.raycast_many(
+        [[-9, 0, 0], [-9, 9, 0], [9, 0, 0]], [[1, 0, 0], [1, 0, 0], [-1, 0, 0]]
+    )
+    assert scene.names_of(hits.handles).tolist() == ['a', None, 'b']
+    near = scene.nearest_many([[0, 0, 0], [9, 0, 0]], 3)
+    assert scene.names_of(near.handles).tolist() == [['a', 'b', None], ['b', 'a', None]]
+    assert near.distances[1, 0] == 3.5
+    assert scene.clearance_many(Shapes.boxes([[0, 3, 0]], [1, 1, 1])).distances.tolist() == [2.0]
+    assert scene.names_of([]).shape == (0,)
+    assert scene.names_of(hits.handles[0]).item() == 'a'
+    scene.remove('s', ['a'])
+    with pytest.raises(KeyError, match=str(hits.handles[0])):
+        scene.names_of(hits.handles)

@@ -240,7 +240,8 @@ class Diagnostics(NodePart):
         name = f'queries of {view}' if view else 'queries'
         level, text = self._refused_since(name, refused.count, refused.last)
         if problem:
-            level, text = ERROR, f'nothing is answered: {problem}'
+            what = 'only thin rays are' if problem == self._world.compiling else 'nothing is'
+            level, text = ERROR, f'{what} answered: {problem}'
         count = visible[view]
         nothing = f'no obstacle matches the view {view}' if view and not count else 'answering'
         values = {

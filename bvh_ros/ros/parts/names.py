@@ -62,7 +62,7 @@ class NamesPublisher(OnDemandPublisher):
         handles, slots = self._world.scene.newcomers(next(reversed(self._pairs), 0))
         for begin in range(0, len(handles), NAMES_AT_A_TIME):
             some = slice(begin, begin + NAMES_AT_A_TIME)
-            for handle, name in self._world.scene.names_of(handles[some], slots[some]):
+            for handle, name in self._world.scene.names_still_there(handles[some], slots[some]):
                 self._pairs[handle] = pair(handle, name)
             yield
         known = np.fromiter(self._pairs, np.int64, len(self._pairs))

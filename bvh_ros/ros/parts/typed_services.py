@@ -679,6 +679,6 @@ def names_of(scene: NodeScene, obstacles: Masks) -> NDArray[np.object_]:
     if len(wanted) >= MANY_NAMES:  # a single name takes one look at all handles
         known, numbers = scene.newcomers(int(wanted[0]) - 1)
         places = np.flatnonzero(np.isin(known, wanted))
-        names = dict(scene.names_of(known[places], numbers[places]))
+        names = dict(scene.names_still_there(known[places], numbers[places]))
     found = [names.get(handle) or scene.name_of(handle) for handle in wanted.tolist()]
     return np.array([*found, *[''] * (len(handles) - len(wanted))], object)[where]

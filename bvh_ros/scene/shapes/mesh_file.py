@@ -44,9 +44,8 @@ def read(path: str | os.PathLike[str], max_triangles: int, max_bytes: int) -> Fl
     if Path(path).exists() and not Path(path).is_file():  # a pipe would block
         raise ValueError('path is not a file')
     with open(path, 'rb') as file:
-        return triangles_of(
-            file.read(min(max_bytes + 1, sys.maxsize)), kind, max_triangles, max_bytes
-        )
+        _refuse_large(os.fstat(file.fileno()).st_size, max_bytes)
+        return triangles_of(file.read(), kind, max_triangles, max_bytes)
 
 
 def kind_of(path: str | os.PathLike[str]) -> str:
@@ -60,8 +59,7 @@ def kind_of(path: str | os.PathLike[str]) -> str:
 
 def triangles_of(data: bytes, kind: str, max_triangles: int, max_bytes: int) -> Floats:
     """Triangles (m, 3, 3) of the bytes of a file; raises as `read` does."""
-    if len(data) > max_bytes:
-        raise ValueError(f'the file has more than {max_bytes:,} bytes')
+    _refuse_large(len(data), max_bytes)
     try:
         triangles = READERS[kind](data, max_triangles)
     except (ImportError, MemoryError):
@@ -74,6 +72,11 @@ def triangles_of(data: bytes, kind: str, max_triangles: int, max_bytes: int) -> 
     if not len(triangles):
         raise ValueError('the file has no triangles')
     return triangles
+
+
+def _refuse_large(size: int, most: int) -> None:
+    if size > most:
+        raise ValueError(f'the file has more than {most:,} bytes')
 
 
 def _refuse_many(count: int, most: int) -> None:

@@ -273,21 +273,24 @@ class Shapes(ShapeColumns):
     def of_meshes(
         cls,
         meshes: 'Mesh | Sequence[Mesh]',
-        position: ArrayLike,
+        position: ArrayLike | None = None,
         orientation: ArrayLike | None = None,
     ) -> 'Shapes':
-        """Meshes, one for all or one a row, whose frames are at `position` (n, 3), m.
+        """Meshes, one for all or one a row, whose frames are at `position` (n, 3), m; None: at the
+        origin.
 
         `orientation`: quaternions x, y, z, w, (n, 4), or (4,) for all; None: unturned.
         """
-        places = _places(position)
+        places = None if position is None else _places(position)
         if isinstance(meshes, Mesh):
-            meshes = [meshes] * len(places)
+            meshes = [meshes] * (1 if places is None else len(places))
         given, meshes = checks.iterator('meshes', meshes), []
         for mesh in given:
             if not isinstance(mesh, Mesh):
                 raise ValueError('meshes must be a sequence of Mesh')
             meshes.append(mesh)
+        if places is None:
+            places = np.zeros((len(meshes), 3))
         if len(places) != len(meshes):
             raise ValueError(f'position must have a row for each of {len(meshes)} meshes')
         sizes = np.array([mesh.size for mesh in meshes]).reshape(-1, 3)
@@ -426,7 +429,8 @@ def as_one_shape(shape: Shapes, planar: bool = False) -> Shapes:
     given = as_shapes(shape, planar)
     if len(given.kind) != 1:
         raise ValueError(
-            f'shape must be one row of Shapes, not {len(given.kind)}: take([row]) is one'
+            f'shape must be one row of Shapes, not {len(given.kind)}: a body of several parts is '
+            'one Mesh of all their triangles'
         )
     return given
 
@@ -436,7 +440,10 @@ def as_shapes(shapes: Shapes, planar: bool = False) -> Shapes:
     lengths disagree. Shapes of two coordinates are for a planar scene, and get the third.
     """
     if not isinstance(shapes, Shapes):
-        raise ValueError(f'shapes must be of type Shapes, not {type(shapes).__name__}')
+        raise ValueError(
+            f'shapes must be of type Shapes, not {type(shapes).__name__}'
+            + (': see Shapes.of_meshes' if type(shapes) is Mesh else '')
+        )
     columns: tuple[Any, ...] = shapes
     kind, position, orientation, size, mesh = columns
     if (

@@ -71,7 +71,7 @@ arrays = st.builds(MarkerArray, markers=st.lists(markers(), max_size=5))
 def assert_same(read, expected):
     count = len(expected.markers)
     by_rclpy = table(expected.markers)
-    for name, found, wanted in zip(read._fields[:-2], read[:-2], by_rclpy[:-2], strict=True):
+    for name, found, wanted in zip(read._fields[:-3], read[:-3], by_rclpy[:-3], strict=True):
         if isinstance(wanted, list):
             assert found == wanted, name
         else:
@@ -203,7 +203,8 @@ def outcome(message):
         for row in range(len(found.id))
         for given in (found.points, found.colours)
     ]
-    return [part if isinstance(part, list) else part.tobytes() for part in found[:-2]] + lists
+    lists += [found.resource(row) for row in range(len(found.id))]
+    return [part if isinstance(part, list) else part.tobytes() for part in found[:-3]] + lists
 
 
 def test_mutated_messages_are_read_or_refused_and_nothing_beyond_them():

@@ -102,6 +102,38 @@ def test_meshes_that_are_not_convex(start_node, messages, meshes):
     world.until(lambda: world.names('raycast', (25, 0.9, 9), (25, 0.9, 0)) == ['a/1'])
 
 
+@pytest.mark.slow  # it compiles what only planar nodes with such meshes need
+def test_a_planar_node_sees_their_shadows(start_node, messages):
+    """An L and a sheet that stands upright; a footprint at rest beside, and in them."""
+    import rclpy
+
+    from bvh_ros.client import BvhClient
+
+    parts = (((0, 0, 0), (9, 3, 2)), ((0, 0, 0), (3, 9, 2)))
+    points = [place for ends in parts for place in corners_of_box(*ends)]
+    source = {'type': 'MarkerArray', 'topic': 'bvh/obstacles', 'meshes': 'solid'}
+    given = {'sources': ['markers'], 'markers': source, 'footprint': [1.0, 1.0, 1.0]}
+    world = start_node({'planar': True, **given})
+    corner = messages.marker(1, (0, 0, 50), type=TRIANGLE_LIST, points=points)
+    sheet = messages.marker(2, (-10, 0, 0), type=TRIANGLE_LIST, points=SHEET)
+    world.markers(corner, sheet)
+    world.until(lambda: world.everything() == {'a/1', 'a/2'})
+    assert world.names('raycast', (8, 4, 0), (4, 8, 0)) == []  # through the nook
+    assert world.names('raycast', (8, 8, 0), (1, 1, 0)) == ['a/1']
+    assert world.names('raycast', (-9, 0, 0), (-3, 0, 0)) == ['a/2']
+    assert world.names('raycast', (8, 4, 0), (4, 8, 0), tolerance=3.0) == ['a/1']
+    assert world.names('overlap', (4, 4, 0), (8, 8, 0)) == []
+    assert world.names('overlap', (2, 4, 0), (8, 8, 0)) == ['a/1']
+    point = 8, 8, 0
+    world.until(lambda: world.names('nearest', point, point, tolerance=5.0) == ['a/1'])
+    node = rclpy.create_node('asks')
+    client = BvhClient(node, world.name, timeout=120.0)
+    hits = client.check_path([[8.0, 8.0, 0.0], [4.0, 1.0, 0.0]])
+    assert hits.distances == pytest.approx([4.5, 0.0])  # how deep it is there is not known
+    assert not hits.normals[1].any()
+    node.destroy_node()
+
+
 def heard(world, topic):
     """The MarkerArrays of a topic, as they come."""
     from rclpy.qos import DurabilityPolicy, QoSProfile

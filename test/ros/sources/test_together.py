@@ -142,15 +142,17 @@ def test_several_messages_read_as_one(messages):
         marker.type = CUBE_LIST
         marker.points = [Point(x=1.0 * marker.id, y=2.0)] * marker.id
         marker.header.frame_id += 'x' * marker.id  # so that lengths differ
+        marker.mesh_resource = f'file:///{marker.id}'
     parts = [many[:1], [], many[1:4], many[4:]]
     raws = [serialize_message(MarkerArray(markers=part)) for part in parts]
     whole = marker_array.read(serialize_message(MarkerArray(markers=many)))
     read = marker_array.read(*raws)
-    for name, found, wanted in zip(whole._fields[:-2], read[:-2], whole[:-2], strict=True):
+    for name, found, wanted in zip(whole._fields[:-3], read[:-3], whole[:-3], strict=True):
         assert np.array_equal(found, wanted), name
     for row in range(len(many)):
         assert np.array_equal(read.points(row), whole.points(row))
         assert np.array_equal(read.colours(row), whole.colours(row))
+        assert read.resource(row) == many[row].mesh_resource
     with pytest.raises(ValueError, match='7 markers do not fit'):
         marker_array.read(raws[0], BROKEN, raws[2])
 
