@@ -32,6 +32,9 @@ def table(markers):
         found = np.array([(p.x, p.y, p.z) for p in markers[row].points], np.float64)
         return found.reshape(-1, 3)
 
+    def resource(row):
+        return markers[row].mesh_resource
+
     def colours(row):
         found = np.array([(c.r, c.g, c.b, c.a) for c in markers[row].colors], np.float64)
         return found.reshape(-1, 4)
@@ -40,5 +43,5 @@ def table(markers):
         *(list(namespaces), namespace, list(frame_ids), frame),
         *(stamp, number, kind, action),
         *(places[:, :3], places[:, 3:7], places[:, 7:]),
-        *(lifetime, points, colours),
+        *(lifetime, points, resource, colours),
     )

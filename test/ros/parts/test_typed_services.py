@@ -404,3 +404,12 @@ def test_rows_leave_and_arrive_at_times(start_node, messages):
         else:
             assert told.distances[0] == pytest.approx(5.5 if kind == 'Nearest' else 4.5)
             assert later.distances[0] == pytest.approx(0.5 if kind == 'Nearest' else 0.0)
+
+
+@pytest.mark.parametrize('kind', ['Raycast', 'Overlap', 'Nearest', 'Clearance', 'Sweep'])
+@pytest.mark.parametrize('frame_id', ['', 'lidar'])
+def test_a_request_without_rows_is_answered(world, kind, frame_id):
+    response = ask(world, kind, f'query/{kind.lower()}', frame_id=frame_id)
+    assert (response.status, response.message) == (OK, '')
+    assert not len(response.statuses)
+    assert not len(response.obstacles)

@@ -7,6 +7,7 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
+from scene.inside import store_of
 from scene.reference import icosphere, scene_of
 from scene.shapes.test_any_mesh import SOLIDS, SURFACES, box, segments
 from scipy.spatial import ConvexHull
@@ -470,9 +471,9 @@ def test_a_shadow_is_shared_and_kept_while_its_mesh_only_moves():
     shape = Shapes.of_meshes([Mesh(CORNER)] * 2, [(0, 0, 0), (20, 0, 5)], [(0, 0, 0.6, 0.8)] * 2)
     scene = scene_of(shape, planar=True)
     assert scene.stats()['meshes'] == 1
-    hulls = scene._store.columns.meshes.hulls
+    hulls = store_of(scene).columns.meshes.hulls
     scene.update('test', ['0'], shape.take([0])._replace(position=np.ones((1, 3))), stamp=2)
-    assert scene._store.columns.meshes.hulls is hulls
+    assert store_of(scene).columns.meshes.hulls is hulls
     # The sides of both boxes lie along edges of their tops.
     assert len(hulls.corners) == len(Mesh(CORNER).corners) - 16
     scene.update('test', ['0'], shape.take([0])._replace(orientation=np.eye(4)[[3]]), stamp=3)
