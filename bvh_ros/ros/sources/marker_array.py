@@ -46,6 +46,13 @@ class MarkerArraySource(Source):
 
     def apply(self, message: Any, now: int) -> Applying:
         """Remove what the markers remove, then add and modify."""
+        try:
+            return (yield from self._apply(message, now))
+        finally:
+            if self._files is not None:
+                self._files.loading = ''
+
+    def _apply(self, message: Any, now: int) -> Applying:
         columns = decoder.read(*message)
         change = yield from markers.change(
             columns,

@@ -59,7 +59,8 @@ class MeshFiles:
     """
 
     def __init__(self, folders: Sequence[str], max_triangles: int, max_bytes: int) -> None:
-        self.loading = ''  # the URI that is being loaded
+        # The URI that was loaded last, until the caller has put its mesh into the scene.
+        self.loading = ''
         self.latest: list[Mesh] = []  # of the last message, so that they can come and go
         self._folders = [os.path.realpath(folder) for folder in folders]
         self._limits = max_triangles, max_bytes
@@ -137,8 +138,6 @@ class MeshFiles:
                 del self._refused[next(iter(self._refused))]
             self._refused[key] = str(error)
             raise
-        finally:
-            self.loading = ''
         return mesh
 
 

@@ -282,7 +282,7 @@ def first_hits(tree: OpenTree, columns: Columns, rays: Rays, threads: int = 1) -
         if begun == count:
             found: CastHits = tuple.__new__(CastHits, parts)
             if triangles is not None:
-                found._met = triangles
+                found._triangles = triangles
             return found
         if begun < 0:
             begun, (view, snapshot) = 0, tree_and_snapshot(tree, count)

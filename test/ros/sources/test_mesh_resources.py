@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Obstacles whose meshes are files: which files may be read, and what is known meanwhile."""
 
+import logging
 import os
 import struct
 import time
@@ -16,11 +17,13 @@ from scene.reference import box_of_triangles
 
 pytest.importorskip('rclpy', reason='rclpy is not installed', exc_type=ImportError)
 
+from bvh_ros.ros.config.parameters import SourceSettings
 from bvh_ros.ros.conversions import markers
 from bvh_ros.ros.sources import mesh_resources
+from bvh_ros.ros.sources.marker_array import MarkerArraySource
 from bvh_ros.ros.sources.mesh_resources import MeshFiles
 from bvh_ros.ros.texts import shortened
-from bvh_ros.scene import AS_CONVEX, AS_SOLID, ShapeKind
+from bvh_ros.scene import AS_CONVEX, AS_SOLID, NodeScene, ShapeKind
 
 MESH_RESOURCE, DELETE = 10, 2
 ONE = np.ones(3)
@@ -174,7 +177,6 @@ def test_no_package_is_found_without_a_prefix(finder, monkeypatch):
 def test_a_file_without_a_mesh_is_read_once(finder, files, name, reason, monkeypatch):
     file = finder.find(f'file://{files}/meshes/{name}')
     for _ in range(2):
-        assert finder.loading == ''
         with pytest.raises(ValueError, match=reason):
             ended(finder.mesh('uri', file, ONE, AS_CONVEX, planar=False))
         monkeypatch.setattr(mesh_resources, '_read', None)  # it is not read again
@@ -274,6 +276,23 @@ def test_without_files_they_are_refused():
     assert [refusal.reason for refusal in found.refusals] == [
         'MESH_RESOURCE: no mesh files are read here'
     ]
+
+
+def test_it_is_unknown_until_the_scene_holds_it(finder, files):
+    """A source is asked at every pause."""
+    scene = NodeScene()
+    node = SimpleNamespace(get_logger=logging.getLogger, get_clock=lambda: None)
+    settings = SourceSettings(*('s', 'MarkerArray', 't', '', False, 0.0), {'meshes': AS_SOLID})
+    frames = SimpleNamespace(into_node=lambda _frame, _stamp: None)
+    source = MarkerArraySource(node, settings, scene, frames)
+    source.raw, source.mesh_files = False, lambda: finder
+    boxes = [resource(k, '', kind=1) for k in range(2, 20_000)]
+    array = [resource(1, f'file://{files}/meshes/a.stl'), *boxes]
+    for _ in source.apply(SimpleNamespace(markers=array), NOW):
+        assert source.problem(NOW).startswith("source 's' loads file:///")
+    assert (source.problem(NOW), len(scene)) == ('', 19_999)
+    for _ in source.apply(SimpleNamespace(markers=array), NOW):
+        assert source.problem(NOW) == ''  # it is known
 
 
 # ---- In a node
