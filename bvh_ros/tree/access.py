@@ -3,7 +3,20 @@
 """What the rest of the package uses of the tree; all else is private to it."""
 
 from . import checks, plotting
-from .batch.single import STACK, cast_few, few_entry, next_wide_leaf, push_loose
+from .batch.single import (
+    STACK,
+    Surroundings,
+    cast_few,
+    few_entry,
+    next_ball_leaf,
+    next_near_leaf,
+    next_wide_leaf,
+    no_plane32,
+    push_loose,
+    set_plane32,
+    square32,
+    surround,
+)
 from .batch.snapshot import (
     FARTHEST_ORIGIN,
     LOOSE_NODES,
@@ -15,8 +28,10 @@ from .batch.snapshot import (
     no_snapshot,
     planning_entry,
     start_ray,
+    take_snapshot,
+    widen,
 )
-from .batch.streams import FOUND, MIXED, cast_entry, make_scratch, scratch_for, traverse
+from .batch.streams import FOUND, MIXED, TALLY, cast_entry, make_scratch, scratch_for, traverse
 from .checks import (
     BOOL,
     EVERYTHING,
@@ -77,6 +92,7 @@ from .query.ray import (
 from .query.ray_queries import answer_rays
 from .query.slab import (
     DIRECTION,
+    EXACT,
     INSIDE,
     ORIGIN,
     RAY_FLOATS,

@@ -31,7 +31,7 @@ from ...tree.access import (
     set_ray,
 )
 from ...tree.compiler import inlined, lean_kernel, stack_array
-from ..results import NO_NODE, CastHits, cast_hits
+from ..results import CastHits, cast_hits
 from ..shapes.shape import Floats
 from ..store import Columns
 from .arguments import (
@@ -41,10 +41,8 @@ from .arguments import (
     Rays,
     Sweep,
     code_for,
-    note_none,
     scratch_in,
     too_long,
-    triangle_of,
     triangles_in,
 )
 from .exact_ball import cast_ball
@@ -55,14 +53,17 @@ from .query import (
     Hit,
     Query,
     candidates,
+    fill_segment,
     first_candidate,
     first_hit,
     no_hit,
     slack_of,
-    touch,
+    write_row,
 )
+from .shapes import only_with
 
 FEW = 64  # obstacles that a ball may touch before more room is made
+MANY = 64  # rays, among meshes of many triangles: they go together
 NEEDS_EXACT = -1  # only exact arithmetic tells
 
 
@@ -105,18 +106,6 @@ def radius_of(radii, row):
     return of_row(radii, row)
 
 
-@inlined
-def fill_segment(start, end, to_goal, length, direction):
-    """Fill in a direction (3,), given by its goal, or by a direction and its length; return
-    whether it and its start are finite.
-    """
-    finite = True
-    for axis in range(3):
-        direction[axis] = end[axis] - start[axis] if to_goal else end[axis] * length
-        finite &= np.isfinite(direction[axis]) and np.isfinite(start[axis])
-    return finite
-
-
 @lean_kernel
 def cast_rows(view, snapshot, shapes, node_handles, rays, place, memory, hits):
     """Fill in the first hits of the rows [start, stop) = place; shapes as of `Columns.shapes`,
@@ -150,20 +139,10 @@ def cast_rows(view, snapshot, shapes, node_handles, rays, place, memory, hits):
         hit, wanted = cast_row(world, snapshot, node_handles, segment, query, scratch, memory)
         if wanted > 0:
             break
-        is_hit = hit.slot != NONE
-        if hits.slots.shape[0] > 0:
-            hits.slots[row] = hit.slot
-        hits.handles[row], hits.t[row] = NO_NODE, np.inf
-        for axis in range(3):
-            hits.points[row, axis], hits.normals[row, axis] = 0.0 if is_hit else np.nan, 0.0
-        met = triangle_of(hits.triangles, row)
-        if not is_hit:
-            note_none(met)
-        else:
-            touch(world, scratch, radius, hit, hits.points[row], hits.normals[row], met)
-            hits.handles[row], hits.t[row] = node_handles[hit.slot], hit.t * length
-            if ndim == 2:
-                hits.points[row, 2] = origin[2]
+        ball = only_with(rays.radii, radius)
+        write_row(world, scratch, node_handles, ball, hit, length, row, hits)
+        if ndim == 2 and hit.slot != NONE:
+            hits.points[row, 2] = origin[2]
         if wanted == NEEDS_EXACT:
             break
         row += 1
@@ -218,13 +197,6 @@ def cast_segment(view, snapshot, shapes, node_handles, ends, ball, memory, place
 UNDECIDED = -9  # no slot, nor NONE, NOT_FINITE or REFUSED
 
 
-@inlined
-def only_with(memory, radii):
-    if memory is None:
-        return None
-    return radii
-
-
 def tree_and_snapshot(tree: OpenTree, count: int) -> tuple[View, Snapshot]:
     """For batches that cannot do with `ready_snapshot`."""
     view = tree.view()
@@ -265,6 +237,18 @@ def first_of_one(
     return slot, t, place[0], place[1], place[2]  # numpy takes a microsecond for *place
 
 
+def kernel_for(columns: Columns, rays: Rays, count: int) -> tuple[Any, Any]:
+    """The kernel that answers so many rows, and what it works in."""
+    if rays.radii is not None:
+        return cast_rows, memory.rows
+    depth = columns.meshes.depth
+    if count < MANY or not depth or columns.shapes[0] is None:
+        return cast_rows, None
+    from .mesh_batch import cast_together, room_for
+
+    return cast_together, room_for(depth)
+
+
 def first_hits(tree: OpenTree, columns: Columns, rays: Rays, threads: int = 1) -> CastHits | None:
     """First hits of n rays, or balls; None if a ray is not finite."""
     count, shapes, begun = len(rays.origins), columns.shapes, 0
@@ -272,13 +256,13 @@ def first_hits(tree: OpenTree, columns: Columns, rays: Rays, threads: int = 1) -
     # As RowHits(...), which would take one more call of a function of Python's.
     triangles = None if columns.rows_of_hit == 2 else np.empty((count, 3))
     hits = tuple.__new__(RowHits, (NO_SLOTS, *parts, triangles))
-    room = None if rays.radii is None else memory.rows
+    kernel, room = kernel_for(columns, rays, count)
     ready = tree.ready_snapshot() if threads == 1 else None
     view, snapshot = ready or tree_and_snapshot(tree, count)
     handles = columns.node_handle
     if threads == 1:  # without what others take: a tenth of a call of a row
         every = view, snapshot, shapes, handles, rays, (0, count), room, hits
-        begun, _, version = code_for(cast_rows, shapes, every, room is None)(*every)
+        begun, _, version = code_for(kernel, shapes, every, room is None)(*every)
         if begun == count:
             found: CastHits = tuple.__new__(CastHits, parts)
             if triangles is not None:
@@ -299,9 +283,9 @@ def _work(
     """Fill in the rows [start, stop); whether all rays are finite."""
     rays: Rays = given[4]
     while start < stop:
-        room = None if rays.radii is None else memory.rows
+        kernel, room = kernel_for(columns, rays, stop - start)
         some = *given, (start, stop), room, hits
-        start, wanted, _ = code_for(cast_rows, columns.shapes, some, room is None)(*some)
+        start, wanted, _ = code_for(kernel, columns.shapes, some, room is None)(*some)
         if start == NOT_FINITE:
             return False
         accepted(start)

@@ -31,7 +31,9 @@ from .shapes import (
     enter_rounded_box,
     enter_rounded_cylinder,
     enter_sphere,
+    only_with,
     point_along,
+    radius_of,
     reach_of,
     time_of,
 )
@@ -63,29 +65,33 @@ def to_frame(shape, lo, hi, ray, radius, local):
 
 
 @lean_kernel
-def enter_shape(shape, hulls, pair, radius, t_max, work):
+def enter_shape(shape, hulls, pair, given, t_max, work):
     """(t, feature) at which a ray, or a ball swept along it, meets the shape; t inf if never.
+    `given`: the radius of the ball, None for a ray.
 
     t is in units of the ray's direction. What misses, but would not if the shape were larger by
     the frame's slack, touches: so rounding makes no hit a miss.
     """
-    ray, lo, hi = pair
+    (ray, lo, hi), radius = pair, radius_of(given)
     if not shape.shaped and radius == 0.0:
         hit, t, axis = intersect_exact(lo, hi, ray, t_max)
         return (t if hit else np.inf), axis
-    frame = to_frame(shape, lo, hi, ray, radius, work)
+    frame = Frame(1.0, 1.0, 0.0)  # a thin ray meets a mesh in the mesh's own frame
+    if shape.kind != MESH or radius > 0.0:
+        frame = to_frame(shape, lo, hi, ray, radius, work)
     scale, slack = frame.scale, frame.slack
     reach, ball, half = reach_of(t_max, frame.pace), radius * scale, shape.half
     s, feature = np.inf, np.int64(INSIDE)
     if shape.kind == CYLINDER and ball > 0.0:
-        radius, height = half[0] * scale, half[2] * scale
-        s, feature = enter_rounded_cylinder(radius, height, ball, reach, slack, work)
+        if given is not None:
+            radius, height = half[0] * scale, half[2] * scale
+            s, feature = enter_rounded_cylinder(radius, height, ball, reach, slack, work)
     elif shape.kind != MESH:
         s, feature = enter_form(shape, lo, hi, scale, ball, 0.0, reach, work)
         if s == np.inf and shape.shaped:
             s, feature = enter_form(shape, lo, hi, scale, ball, slack, reach, work)
     elif hulls is not None:  # last: compiled meanwhile in another process, see `compile_jobs`
-        return enter_mesh(hulls, shape, frame, pair, ball, t_max, work)
+        return enter_mesh(hulls, shape, frame, pair, only_with(given, ball), t_max, work)
     return time_of(s, frame.pace, t_max), feature
 
 
@@ -151,14 +157,14 @@ def axis_point(shape, scale, z):
 
 
 @lean_kernel
-def contact(shape, hulls, pair, hit, radius, work, point, normal, met):
+def contact(shape, hulls, pair, hit, given, work, point, normal, met):
     """Fill in the obstacle's point that is met by a hit (t, feature), the outward normal, and the
     triangle, see `arguments.room_for_triangles`.
 
     The normal of a ball is zero where its centre is in the obstacle, or no farther from it than
     rounding: there it would be noise.
     """
-    ray, lo, hi = pair
+    (ray, lo, hi), radius = pair, radius_of(given)
     t, feature = hit
     frame = to_frame(shape, lo, hi, ray, radius, work)
     s = t * frame.pace if t > 0.0 else 0.0
@@ -175,7 +181,7 @@ def contact(shape, hulls, pair, hit, radius, work, point, normal, met):
     elif radius == 0.0 and shape.kind == MESH:  # the ray is on the mesh already
         closest[0], closest[1], closest[2] = centre[0], centre[1], centre[2]
     else:
-        closest_point(shape, hulls, scale, centre, closest)
+        closest_point(shape, only_with(given, hulls), scale, centre, closest)
     if radius > 0.0:
         for axis in range(3):
             outward[axis] = centre[axis] - closest[axis]

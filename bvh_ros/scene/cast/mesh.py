@@ -18,35 +18,44 @@ import numpy as np
 from ...tree.access import (
     DEEPEST,
     DIRECTION,
+    FARTHEST_ORIGIN,
     INSIDE,
     NONE,
     ORIGIN,
     RAY_ROWS,
+    STACK,
     Stack,
     intersect_node,
+    limit32,
+    next_ball_leaf,
     next_leaf,
+    no_plane32,
     prepare_ray,
     push_root,
+    set_plane32,
     set_ray,
+    start_ray,
     traversal_distance,
+    widen,
 )
 from ...tree.compiler import chosen_by_types, inlined, lean_kernel, stack_array
-from ..distance.gjk import dot
+from ..distance.gjk import SLACK, dot
 from ..distance.narrow_phase import hull_gap
 from ..shapes.footprint import FACE, ROUND
 from ..shapes.hull import are_any, form_of, hull_of, surface_of, triangle_hull
-from ..shapes.mesh import CONVEX, SOLID, farthest_vertex
+from ..shapes.mesh import CONVEX, SHELL, SOLID, farthest_vertex
 from ..shapes.shape import rotate
-from ..shapes.surface import first_crossing, holds_point
-from .shapes import approach_by, reach_of, time_of
+from ..shapes.surface import RECORD, closest_between, first_crossing, holds_point
+from .shapes import approach_by, reach_of, slope_of, time_of
 
 # ---- thin rays
 
 
 @lean_kernel
-def enter_triangles(surface, is_solid, shape, pair, t_max):
-    """(t, feature) at which a thin ray enters a mesh, t up to t_max."""
-    given, ray = pair.ray, stack_array((RAY_ROWS, 3), np.float64)
+def into_frame(radius, shape, given, ray):
+    """Fill in origin and direction of a ray in the frame of a mesh; return (the exponent of the
+    power of two of which the given direction is a multiple, whether it is zero).
+    """
     largest = 0.0
     for axis in range(3):
         ray[ORIGIN, axis] = given[ORIGIN, axis] - shape.position[axis]
@@ -57,14 +66,22 @@ def enter_triangles(surface, is_solid, shape, pair, t_max):
     rotate(shape.orientation, ray[ORIGIN], -1.0)
     rotate(shape.orientation, ray[DIRECTION], -1.0)
     for axis in range(3):  # what is below all digits of the mesh would leave the exact sums
-        if abs(ray[ORIGIN, axis]) < MINUTE * surface.radius:
+        if abs(ray[ORIGIN, axis]) < MINUTE * radius:
             ray[ORIGIN, axis] = 0.0
         if abs(ray[DIRECTION, axis]) < MINUTE:
             ray[DIRECTION, axis] = 0.0
+    return exponent, largest == 0.0
+
+
+@lean_kernel
+def enter_triangles(surface, is_solid, shape, pair, t_max):
+    """(t, feature) at which a thin ray enters a mesh, t up to t_max."""
+    ray = stack_array((RAY_ROWS, 3), np.float64)
+    exponent, is_still = into_frame(surface.radius, shape, pair.ray, ray)
     if is_solid and holds_point(surface, ray[ORIGIN]):
         return 0.0, np.int64(INSIDE)
     reach = math.ldexp(t_max, -exponent)
-    if largest == 0.0:
+    if is_still:
         ray[DIRECTION, 0], reach = 1.0, 0.0
     begin = come_near(surface.radius, ray)
     if not begin <= reach:
@@ -122,6 +139,8 @@ approach_hull = approach_by(measure_hull)
 @lean_kernel
 def enter_convex(hulls, shape, frame, pair, radius, t_max, work):
     """(t, feature) at which a ray, or a ball swept along it, enters a shape's convex mesh."""
+    if radius is None:
+        return enter_triangles(surface_of(hulls, shape), True, shape, pair, t_max)
     if radius == 0.0:
         return enter_triangles(surface_of(hulls, shape), True, shape, pair, t_max)
     reach = reach_of(t_max, frame.pace)
@@ -154,11 +173,87 @@ def enter_ball(nodes, node, path, limit):
 
 
 @lean_kernel
+def measure_triangle(solid, point, normal):
+    """`measure_hull` of a triangle. The plane across the line to its closest point nearly always
+    proves the distance.
+    """
+    hull, scale = solid
+    place, closest, places = stack_array(3, np.float64), stack_array(3, np.float64), hull.places
+    size = hull.radius
+    for axis in range(3):
+        place[axis] = point[axis] / scale
+        size = max(size, abs(place[axis]))
+    distance = math.sqrt(closest_between(places[0], places[1], places[2], place, closest))
+    if distance > 0.0:
+        low = np.inf
+        for axis in range(3):
+            normal[axis] = (place[axis] - closest[axis]) / distance
+        for number in range(3):
+            along = 0.0
+            for axis in range(3):
+                along += normal[axis] * (place[axis] - places[number, axis])
+            low = min(low, along)
+        if distance - low <= SLACK * size:
+            return low * scale, distance * scale
+    return measure_hull(solid, point, normal)
+
+
+approach_triangle = approach_by(measure_triangle)
+
+
+@lean_kernel
+def stays_off(solid, radius, until, slack, work):
+    """Whether a ball surely does not touch a triangle up to a distance: there a plane keeps them
+    apart, to which the ball came no nearer before. `work` as for `approach`.
+    """
+    origin, direction, point, normal = work[0], work[1], work[2], work[3]
+    if until == np.inf:
+        return False
+    for axis in range(3):
+        point[axis] = origin[axis] + until * direction[axis]
+    low, _ = measure_triangle(solid, point, normal)
+    return low > radius + slack and slope_of(normal, direction) <= 0.0
+
+
+@lean_kernel
+def set_contact_plane(wide, solid, frame, radius, s, work, plane, above):
+    """Fill in a plane, its normal and its place, that a triangle reaches which the ball touches
+    before it has gone s: that in which it touches one there, if it came no farther from it. The
+    ball goes along rows 0 and 1 of `work`; `above` is the same for boxes.
+    """
+    origin, direction, point, normal = work[0], work[1], work[2], work[3]
+    place, size = -(radius + frame.slack), solid[0].radius
+    for axis in range(3):
+        point[axis] = origin[axis] + s * direction[axis]
+    measure_triangle(solid, point, normal)
+    if not slope_of(normal, direction) <= 0.0:
+        return
+    for axis in range(3):
+        plane[axis] = normal[axis]
+        place += normal[axis] * point[axis]
+        size = max(size, abs(point[axis]) / frame.scale)
+    plane[3] = place / frame.scale - GROWN * size
+    set_plane32(wide, plane, plane[3], above)
+
+
+@inlined
+def lies_below(plane, places):
+    """Whether a triangle does not reach a plane."""
+    below = True
+    for number in range(3):
+        height = 0.0
+        for axis in range(3):
+            height += plane[axis] * places[number, axis]
+        below = below and height < plane[3]
+    return below
+
+
+@lean_kernel
 def approach_triangles(hulls, surface, is_solid, frame, radius, reach, work):
     """How far a ball goes until it touches any mesh, inf if it does not."""
     ray, box = stack_array((RAY_ROWS, 3), np.float64), stack_array((2, 3), np.float64)
     room, places = stack_array((5, 3), np.float64), stack_array((3, 3), np.float64)
-    nodes, root, size = surface.nodes, surface.root, 0.0
+    nodes, wide, size = surface.nodes, surface.wide, 0.0
     for axis in range(3):
         ray[ORIGIN, axis] = work[0, axis] / frame.scale
         ray[DIRECTION, axis] = work[1, axis]
@@ -167,27 +262,52 @@ def approach_triangles(hulls, surface, is_solid, frame, radius, reach, work):
         return 0.0
     set_ray(ray, ray[ORIGIN], ray[DIRECTION])
     grown = (radius + frame.slack) / frame.scale * (1.0 + GROWN) + GROWN * (size + surface.radius)
-    for axis in range(3):
-        box[0, axis] = nodes[root].lo[axis] - grown
-        box[1, axis] = nodes[root].hi[axis] + grown
-    scale, wide = prepare_ray(ray, box[0], box[1])
-    path, best = BallNodes(ray, wide, grown, box), np.inf
-    limit = traversal_distance(reach / frame.scale, scale)
+    records, place = stack_array(1, RECORD), stack_array(1, np.int32)
+    entries, record = stack_array(STACK, np.int64), records[0]
     stack = Stack(stack_array(DEEPEST, np.int64), stack_array(DEEPEST, np.float64))
-    top = push_root(nodes, root, path, limit, stack, enter_ball)
+    scale, far, limit, top, suited = np.int64(0), False, reach / frame.scale, 0, False
+    if wide.size > 0 and grown * wide.per_length < FARTHEST_ORIGIN:
+        units = wide.center, wide.per_length
+        suited = start_ray(record, ray[ORIGIN], ray[DIRECTION], *units, limit)
+        widen(record, grown * wide.per_length)
+        place[0], entries[0], top = 0, 0, 1
+    if not suited:
+        for axis in range(3):
+            box[0, axis] = nodes[surface.root].lo[axis] - grown
+            box[1, axis] = nodes[surface.root].hi[axis] + grown
+        scale, far = prepare_ray(ray, box[0], box[1])
+        limit = traversal_distance(limit, scale)
+    path, best = BallNodes(ray, far, grown, box), np.inf
+    plane, above = stack_array(4, np.float64), stack_array(4, np.float32)
+    plane[0], plane[1], plane[2], plane[3] = 0.0, 0.0, 0.0, -np.inf
+    no_plane32(above)
+    if not suited:
+        top = push_root(nodes, surface.root, path, limit, stack, enter_ball)
     while top > 0:
-        leaf, top = next_leaf(nodes, path, limit, stack, top, enter_ball)
-        if leaf == NONE:
+        if suited:
+            face, top = next_ball_leaf(wide, records, place, above, entries, top)
+        else:
+            leaf, top = next_leaf(nodes, path, limit, stack, top, enter_ball)
+            face = leaf >> 1  # NONE of NONE
+        if face == NONE:
             break
-        hull = triangle_hull(hulls, surface, np.int64(leaf >> 1), places)
+        hull = triangle_hull(hulls, surface, np.int64(face), places)
         for row in range(2):
             for axis in range(3):
                 room[row, axis] = work[row, axis]
-        until = min(best, reach)
-        s, _ = approach_hull((hull, frame.scale), radius, until, frame.slack, room)
+        until, solid = min(best, reach), (hull, frame.scale)
+        if lies_below(plane, places):
+            continue
+        if stays_off(solid, radius, until, frame.slack, room):
+            continue
+        s, _ = approach_triangle(solid, radius, until, frame.slack, room)
         if s < best:
             best = s
-            limit = traversal_distance(s / frame.scale, scale)
+            set_contact_plane(wide, solid, frame, radius, s, room, plane, above)
+            if suited:
+                record.limit = limit32(s / frame.scale, record.unit)
+            else:
+                limit = traversal_distance(s / frame.scale, scale)
     return best
 
 
@@ -198,6 +318,8 @@ GROWN = 2.0**-46  # of the lengths in play: more than what rounds a place
 def enter_any(hulls, shape, frame, pair, radius, t_max, work):
     """`enter_convex` of any mesh."""
     form = form_of(hulls, shape)
+    if radius is None:
+        return enter_triangles(surface_of(hulls, shape), form != SHELL, shape, pair, t_max)
     if form == CONVEX:
         return enter_convex(hulls, shape, frame, pair, radius, t_max, work)
     surface = surface_of(hulls, shape)

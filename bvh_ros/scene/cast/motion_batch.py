@@ -46,6 +46,7 @@ from ...tree.access import (
     set_ray,
     slot_of,
     traverse,
+    widen,
 )
 from ...tree.compiler import WIDTH, entry_point, inlined, lean_kernel, prefetch, stack_array
 from ...tree.motion.access import (
@@ -104,7 +105,7 @@ from .motion import (
     update_first_hit,
     write_first_hit,
 )
-from .query import Hit, no_hit, widen, write
+from .query import Hit, no_hit, write
 
 RAYS_AT_ONCE = 1024  # go together at most
 _MET = RAYS_AT_ONCE + AT_ONCE

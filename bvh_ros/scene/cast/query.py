@@ -36,9 +36,10 @@ from ...tree.access import (
     push_loose,
     set_ray,
     start_ray,
+    widen,
 )
 from ...tree.compiler import inlined, lean_kernel, stack_array
-from ..results import require_few
+from ..results import NO_NODE, require_few
 from ..shapes.footprint import ROUND
 from ..shapes.shape import LARGE, SMALL, Floats
 from ..store import Columns
@@ -49,6 +50,7 @@ from .arguments import (
     Hits,
     Sweep,
     call,
+    note_none,
     room_for_triangles,
     scratch_in,
     triangle_of,
@@ -56,13 +58,20 @@ from .arguments import (
 )
 from .contact import contact, enter_shape
 from .footprint import enter_footprint, touch_footprint
-from .shapes import COORDINATES, FRAME_SLACK, RayAndBox, enter_rounded_boxes, point_along, time_of
+from .shapes import (
+    COORDINATES,
+    FRAME_SLACK,
+    RayAndBox,
+    enter_rounded_boxes,
+    point_along,
+    radius_of,
+    time_of,
+)
 from .walking import walk_nodes
 
 EARLY, AT, LATE = range(3)  # rows: of a ball that is larger, of itself, of a smaller one
 SWEEP_SLACK = 2.0**-46
 HUGE, MINUTE = 1e140, 1e-140  # beyond, squares leave the doubles: nothing is sure
-PAD32 = 2.0**-20  # far above the rounding of a float32
 
 
 class Query(NamedTuple):
@@ -134,7 +143,9 @@ def is_plain_box(geometry, footprints, slot):
 
 @lean_kernel
 def enter_obstacle(world, slot, ray, radius, t_max, work):
-    """(t, feature) at which a ray, or a ball swept along it, meets an obstacle; t inf if never."""
+    """(t, feature) at which a ray, or a ball swept along it, meets an obstacle; t inf if never.
+    The radius of a ray is None.
+    """
     lo, hi = leaf_box(world.nodes, world.tight, 2 * slot)
     pair = RayAndBox(ray, lo, hi)
     return enter_any(world.geometry, world.footprints, slot, pair, radius, t_max, work)
@@ -146,7 +157,8 @@ def enter_any(geometry, footprints, slot, pair, radius, t_max, work):
     if geometry is not None:
         t, feature = enter_shape(geometry[0][slot], geometry[1], pair, radius, t_max, work)
     if footprints is not None:
-        t, feature = enter_footprint(footprints[0][slot], footprints[1], pair, radius, t_max, work)
+        ball = radius_of(radius)
+        t, feature = enter_footprint(footprints[0][slot], footprints[1], pair, ball, t_max, work)
     return t, feature
 
 
@@ -167,7 +179,8 @@ def touch_any(geometry, footprints, slot, pair, hit, radius, work, out, met):
     if geometry is not None:
         contact(geometry[0][slot], geometry[1], pair, hit, radius, work, point, normal, met)
     if footprints is not None:
-        touch_footprint(footprints[0][slot], footprints[1], pair, hit, radius, work, point, normal)
+        ball = radius_of(radius)
+        touch_footprint(footprints[0][slot], footprints[1], pair, hit, ball, work, point, normal)
 
 
 @inlined
@@ -247,7 +260,7 @@ def precedes(world, ray, hit, other):
 def visit_first(caster, room, slot, first):
     """The first hits of a thin ray, as of `no_hits`."""
     (world, query, scratch), (box, other) = caster, first
-    t, feature = enter_obstacle(world, slot, scratch.ray, 0.0, query.t_max, scratch.work)
+    t, feature = enter_obstacle(world, slot, scratch.ray, None, query.t_max, scratch.work)
     if t < np.inf and not (query.skip_inside and feature == INSIDE):
         hit = Hit(slot, t, np.int64(feature))
         if is_plain_box(world.geometry, world.footprints, slot):
@@ -263,7 +276,7 @@ def visit_every(caster, room, slot, count):
     there, in no order.
     """
     world, query, scratch = caster
-    t, feature = enter_obstacle(world, slot, scratch.ray, 0.0, query.t_max, scratch.work)
+    t, feature = enter_obstacle(world, slot, scratch.ray, None, query.t_max, scratch.work)
     if t < np.inf and not (query.skip_inside and feature == INSIDE):
         write(Hit(slot, t, np.int64(feature)), room, count)
         count += 1
@@ -409,22 +422,6 @@ def walk_snapshot(caster, snapshot, segment, room, found, visit):
 
 
 @inlined
-def widen(record, reach):
-    """Let a ray meet boxes as if they were larger by `reach`, in the snapshot's units. Numbers
-    that may be as large as reach * slope are rounded once more here, so there is a pad of more
-    than that.
-    """
-    for axis in range(record.slope.shape[0]):
-        slope, shift = (
-            abs(np.float64(record.slope[axis])),
-            abs(np.float64(record.near_shift[axis])),
-        )
-        more = slope * (reach * (1.0 + PAD32) + PAD32) + shift * PAD32
-        record.near_shift[axis] = np.float32(record.near_shift[axis] - more)
-        record.far_shift[axis] = np.float32(record.far_shift[axis] + more)
-
-
-@inlined
 def walk(caster, snapshot, segment, room, nothing, visit):
     """What a visitor finds for a ray, by the snapshot if the ray is suited to it. `snapshot`: None
     if there never is one.
@@ -523,6 +520,35 @@ def first_candidate(world, node_handles, found, count, skip_inside):
         ):
             return first, False
     return first, True
+
+
+@inlined
+def fill_segment(start, end, to_goal, length, direction):
+    """Fill in a direction (3,), given by its goal, or by a direction and its length; return
+    whether it and its start are finite.
+    """
+    finite = True
+    for axis in range(3):
+        direction[axis] = end[axis] - start[axis] if to_goal else end[axis] * length
+        finite &= np.isfinite(direction[axis]) and np.isfinite(start[axis])
+    return finite
+
+
+@inlined
+def write_row(world, scratch, node_handles, radius, hit, length, row, hits):
+    """Write the first hit of a row, t times `length`, to `batch.RowHits`."""
+    is_hit = hit.slot != NONE
+    if hits.slots.shape[0] > 0:
+        hits.slots[row] = hit.slot
+    hits.handles[row], hits.t[row] = NO_NODE, np.inf
+    for axis in range(3):
+        hits.points[row, axis], hits.normals[row, axis] = 0.0 if is_hit else np.nan, 0.0
+    met = triangle_of(hits.triangles, row)
+    if not is_hit:
+        note_none(met)
+    else:
+        touch(world, scratch, radius, hit, hits.points[row], hits.normals[row], met)
+        hits.handles[row], hits.t[row] = node_handles[hit.slot], hit.t * length
 
 
 # ---- all hits of one ray

@@ -32,9 +32,10 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
+from numba import types
 
 from ...tree.access import DIRECTION, INSIDE
-from ...tree.compiler import inlined, lean_kernel, stack_array
+from ...tree.compiler import chosen_by_types, inlined, lean_kernel, stack_array
 from ..shapes.footprint import ROUND
 from ..shapes.shape import hypot, length, scale_of
 
@@ -59,6 +60,37 @@ def time_of(s, pace, t_max):
     if not 0.0 < s < np.inf:
         return s
     return min(s / pace, t_max, 1.7976931348623157e308)
+
+
+# The radius of a ball is None for a thin ray: then nothing of balls is compiled.
+
+
+@chosen_by_types
+def radius_of(ball):
+    """A radius as a number."""
+    return _zero if isinstance(ball, types.NoneType) else _number
+
+
+def _zero(ball):
+    return 0.0
+
+
+def _number(ball):
+    return ball
+
+
+@chosen_by_types
+def only_with(ball, value):
+    """What only balls need; None for a thin ray."""
+    return _nothing if isinstance(ball, types.NoneType) else _value
+
+
+def _nothing(ball, value):
+    return None
+
+
+def _value(ball, value):
+    return value
 
 
 class RayAndBox(NamedTuple):

@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The meshes of a scene, or their shadows, as kernels read them."""
 
+import math
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -9,11 +10,11 @@ from numba import types
 from numpy.typing import NDArray
 
 from ...tree.access import node_dtype
-from ...tree.compiler import chosen_by_types, lean_kernel
-from .mesh import CONVEX, LANES, NUMBERS, Floats, Mesh
+from ...tree.compiler import CACHE_LINE, chosen_by_types, lean_kernel
+from .mesh import CONVEX, LANES, NO_WIDE, NUMBERS, Floats, Mesh
 from .shadow import Seen
 from .shape import MESH
-from .surface import Surface
+from .surface import Surface, Wide
 
 # ---- The meshes of a scene, or what a planar scene sees of them, and their arrays.
 
@@ -24,6 +25,9 @@ HULL = np.dtype(
         ('discs', np.int64, (2,)),
         ('faces', np.int64, (2,)),
         ('seeds', np.int64, (2,)),
+        ('wide', np.int64, (2,)),  # nodes of the snapshot
+        ('center', np.float64, (3,)),  # of the snapshot
+        ('per_length', np.float64),
         ('root', np.int64),
         ('radius', np.float64),
         ('form', np.int64),  # CONVEX, SOLID or SHELL
@@ -50,6 +54,10 @@ class Hulls(NamedTuple):
     """Of the meshes' trees, two a triangle."""
     seeds: Floats
     """A corner of each part of each mesh."""
+    planes: NDArray[np.float32]
+    """Of the snapshots of the meshes' trees, a wide node a row."""
+    children: NDArray[np.int32]
+    """The same."""
     rows: NDArray[np.int32]
     """Of the triangles as given, one a triangle."""
 
@@ -58,6 +66,14 @@ class AnyHulls(Hulls):
     """The same if one is not convex. Of the type it depends what is compiled."""
 
     __slots__ = ()
+
+
+def _on_cache_lines(shape: tuple[int, ...], dtype: np.dtype[Any]) -> NDArray[Any]:
+    """Zeros from a cache line on: no node of a tree then lies in more lines than it must."""
+    size = math.prod(shape) * dtype.itemsize
+    room = np.zeros(size + CACHE_LINE, np.uint8)
+    start = -room.ctypes.data % CACHE_LINE
+    return room[start : start + size].view(dtype).reshape(shape)
 
 
 class _Rows:
@@ -70,7 +86,7 @@ class _Rows:
         """Where the new rows begin and end."""
         begin, end = self.used, self.used + len(more)
         if end > len(self._array):
-            bigger = np.zeros((max(end, 2 * begin), *more.shape[1:]), self._array.dtype)
+            bigger = _on_cache_lines((max(end, 2 * begin), *more.shape[1:]), self._array.dtype)
             bigger[:begin] = self._array[:begin]
             self._array = bigger
         self._array[begin:end], self.used = more, end
@@ -92,9 +108,10 @@ class _Joined:
             *(_Rows(np.empty((0, 3), np.int32)), _Rows(np.empty((0, 3)))),
             _Rows(np.empty(0, node_dtype(3))),
             _Rows(np.empty((0, 3))),
+            *(_Rows(NO_WIDE.planes), _Rows(NO_WIDE.children)),
             _Rows(np.empty(0, np.int32)),
         ]
-        self._all_convex = True
+        self._all_convex, self.depth = True, 0
 
     def add(self, number: int, mesh: Mesh | Seen) -> None:
         if number >= len(self._spans):
@@ -103,6 +120,7 @@ class _Joined:
             self._spans = spans
         self._hulls = None
         nodes, root = mesh.tree
+        wide = mesh.wide if isinstance(mesh, Mesh) else NO_WIDE
         given: tuple[NDArray[Any], ...] = (
             mesh.vertices,
             mesh.discs,
@@ -110,14 +128,18 @@ class _Joined:
             mesh.normals,
             nodes,
             mesh.seeds,
+            wide.planes,
+            wide.children,
             mesh.rows,
         )
         places = [column.append(rows) for column, rows in zip(self._columns, given, strict=True)]
         span = self._spans[number]
         span['root'], span['radius'], span['form'] = root, mesh.radius, mesh.form
         span['vertices'], span['discs'], span['faces'] = places[:3]
-        span['seeds'] = places[5]
+        span['seeds'], span['wide'] = places[5:7]
+        span['center'], span['per_length'] = wide.center, wide.per_length
         self._all_convex = self._all_convex and mesh.form == CONVEX
+        self.depth = max(self.depth, wide.depth)
 
     def hulls(self) -> Hulls:
         if self._hulls is None:
@@ -189,6 +211,11 @@ class MeshStore:
         return self._joined.hulls()
 
     @property
+    def depth(self) -> int:
+        """Levels of the deepest snapshot of a mesh's tree; 0 without any."""
+        return self._joined.depth
+
+    @property
     def nbytes(self) -> int:
         """Memory of what the kernels read."""
         return sum(array.nbytes for array in self.hulls) if len(self) else 0
@@ -219,12 +246,17 @@ def numbered_surface(hulls, number):
     """The triangles of a mesh."""
     span = hulls.spans[number]
     first, stop = span.faces[0], span.faces[1]
+    node, last = span.wide[0], span.wide[1]
+    children = hulls.children[node:last].reshape(-1)
+    planes = hulls.planes[node:last].reshape(-1)
+    units = span.center, span.per_length
     return Surface(
         hulls.vertices[span.vertices[0] : span.vertices[1]],
         hulls.corners[first:stop],
         hulls.nodes[2 * first : 2 * stop],
         span.root,
         span.radius,
+        Wide(planes, children, children.view(np.uint32), *units, last - node, 0),
     )
 
 

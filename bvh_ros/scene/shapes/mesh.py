@@ -13,8 +13,8 @@ from weakref import WeakValueDictionary
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ...tree.access import OpenTree, checks
-from ...tree.compiler import lean_kernel, stack_array
+from ...tree.access import OpenTree, checks, take_snapshot
+from ...tree.compiler import WIDTH, lean_kernel, stack_array
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -704,6 +704,28 @@ SMALLEST_SURFACE, LARGEST_SURFACE = 1e-30, 1e30
 NEGLIGIBLE = 2.0**-200  # of a mesh's size: coordinates below become 0
 
 
+FEWEST_WIDE = 32  # triangles: of fewer the tree itself is as fast
+
+
+class WideNodes(NamedTuple):
+    """The snapshot of a mesh's tree, see `tree.batch.snapshot`."""
+
+    planes: NDArray[np.float32]
+    """(n, 6 WIDTH)"""
+    children: NDArray[np.int32]
+    """(n, WIDTH)"""
+    center: Floats
+    """(3,)"""
+    per_length: float
+    depth: int
+    """Levels of nodes."""
+
+
+NO_WIDE = WideNodes(
+    np.empty((0, 6 * WIDTH), np.float32), np.empty((0, WIDTH), np.int32), np.zeros(3), 1.0, 0
+)
+
+
 class Mesh:
     """Triangles: a convex solid, a solid of any form, or a surface.
 
@@ -859,10 +881,29 @@ class Mesh:
         kind = 'convex solid' if self.convex else 'solid' if self.solid else 'surface'
         return f'Mesh({kind} of {len(self.corners):,} triangles, {edges} m)'
 
-    @cached_property
+    @property
     def tree(self) -> tuple[NDArray[Any], int]:
         """Nodes and root of a tree of the boxes around the triangles; slot k is triangle k."""
-        return tree_over(self.vertices[self.corners], float(self.size.max()))
+        return self._trees[:2]
+
+    @property
+    def wide(self) -> 'WideNodes':
+        """Its snapshot; without nodes for few triangles, or where float32 sees too little."""
+        return self._trees[2]
+
+    @cached_property
+    def _trees(self) -> 'tuple[NDArray[Any], int, WideNodes]':
+        tree = tree_over(self.vertices[self.corners], float(self.size.max()))
+        snapshot, wide = None, NO_WIDE
+        if len(self.corners) >= FEWEST_WIDE:
+            snapshot = take_snapshot(tree.view())
+        if snapshot is not None:
+            planes = snapshot.planes.reshape(-1, 6 * WIDTH)[: snapshot.size]
+            children = snapshot.children.reshape(-1, WIDTH)[: snapshot.size]
+            units = snapshot.center, snapshot.per_length
+            wide = WideNodes(planes, children, *units, snapshot.depth)
+        nodes, _, _, root = tree.arrays()
+        return nodes, int(root), wide
 
     @cached_property
     def outline(self) -> Floats:
@@ -896,12 +937,10 @@ class Mesh:
         return self.vertices[used[np.unique(number[used], return_index=True)[1]]]
 
 
-def tree_over(triangles: Floats, size: float) -> tuple[NDArray[Any], int]:
-    """Nodes and root of a tree of the boxes around triangles (m, 3, 3) of a mesh of some size."""
+def tree_over(triangles: Floats, size: float) -> OpenTree:
+    """A tree of the boxes around triangles (m, 3, 3) of a mesh of some size."""
     pad = PAD * size
-    tree = OpenTree.from_boxes(triangles.min(axis=1) - pad, triangles.max(axis=1) + pad)
-    nodes, _, _, root = tree.arrays()
-    return nodes, int(root)
+    return OpenTree.from_boxes(triangles.min(axis=1) - pad, triangles.max(axis=1) + pad)
 
 
 def flattened(places: Floats, corners: NDArray[np.int32]) -> tuple[Floats, NDArray[np.int32]]:

@@ -18,9 +18,11 @@ from .mesh import (
     CONVEX,
     LANES,
     NEGLIGIBLE,
+    NO_WIDE,
     NUMBERS,
     SHELL,
     Mesh,
+    WideNodes,
     convex_polygon,
     digest,
     flattened,
@@ -42,6 +44,7 @@ class Polygon:
     rows: ClassVar[NDArray[np.int32]] = np.empty(0, np.int32)
     normals: ClassVar[Floats] = NO_NORMALS
     tree: ClassVar[tuple[NDArray[Any], int]] = (np.empty(0, node_dtype(3)), 0)
+    wide: ClassVar[WideNodes] = NO_WIDE
     radius: ClassVar[float] = 0.0
     form: ClassVar[int] = CONVEX
 
@@ -68,6 +71,7 @@ class Shadow:
 
     discs: ClassVar[Floats] = NO_DISCS
     normals: ClassVar[Floats] = NO_NORMALS
+    wide: ClassVar[WideNodes] = NO_WIDE
     form: ClassVar[int] = SHELL
 
     def __init__(self, mesh: Mesh, orientation: Floats) -> None:
@@ -87,7 +91,8 @@ class Shadow:
         """(m, 3) see `flattened`."""
         self.rows = np.arange(len(corners), dtype=np.int32)
         self.seeds: Floats = self.vertices[:1]
-        self.tree = tree_over(self.vertices[corners], float(mesh.size.max()))
+        nodes, _, _, root = tree_over(self.vertices[corners], float(mesh.size.max())).arrays()
+        self.tree = nodes, int(root)
         farthest = float(np.linalg.norm(self.vertices, axis=1).max())
         self.radius = math.ldexp(1.0, math.frexp(farthest)[1])
         """As of a `Mesh`."""

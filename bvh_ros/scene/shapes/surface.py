@@ -24,19 +24,28 @@ from ...tree.access import (
     NONE,
     ORIGIN,
     RAY_ROWS,
+    STACK,
     Near,
     Stack,
+    Surroundings,
     enter_box,
+    limit32,
     next_leaf,
+    next_near_leaf,
+    next_wide_leaf,
+    no_plane32,
+    no_snapshot,
     prepare_ray,
     pruning_limit,
     push_root,
     set_ray,
     sign_of_four_products,
+    square32,
+    start_ray,
+    surround,
     traversal_distance,
     two_product,
     two_sum,
-    visit_nearest,
 )
 from ...tree.compiler import inlined, lean_kernel, stack_array
 
@@ -49,6 +58,23 @@ class Surface(NamedTuple):
     nodes: Any
     root: Any
     radius: Any
+    wide: Any
+    """`Wide`."""
+
+
+class Wide(NamedTuple):
+    """The snapshot of a mesh's tree, as `next_wide_leaf` reads it."""
+
+    planes: Any
+    children: Any
+    masks: Any
+    """Nobody reads them: every triangle is seen."""
+    center: Any
+    per_length: Any
+    size: Any
+    """How many nodes there are; without any the tree itself serves."""
+    loose: Any
+    """0: nothing is added to it."""
 
 
 # ---- exact signs
@@ -147,10 +173,43 @@ def misses():
     return Crossing(np.inf, 1.0, True)
 
 
+DOUBT, DOUBT_OF_HEIGHT = 2.0**-48, 2.0**-46  # of products of three lengths: see `SURE`
+
+
 @lean_kernel
 def cross_triangle(vertices, corner, origin, direction, zero):
-    """The `Crossing` of a line; `zero` is a zero vector. Points of it before the origin count."""
+    """The `Crossing` of a line; `zero` is a zero vector. Points of it before the origin count.
+
+    Nearly all are decided by determinants of rounded differences, of which none is as small as
+    what three largest lengths may be off. `cross_in_doubt` looks at the others edge by edge.
+    """
     a, b, c = vertices[corner[0]], vertices[corner[1]], vertices[corner[2]]
+    ax, ay, az = a[0] - origin[0], a[1] - origin[1], a[2] - origin[2]
+    bx, by, bz = b[0] - origin[0], b[1] - origin[1], b[2] - origin[2]
+    cx, cy, cz = c[0] - origin[0], c[1] - origin[1], c[2] - origin[2]
+    dx, dy, dz = direction[0], direction[1], direction[2]
+    far = max(abs(ax), abs(ay), abs(az), abs(bx), abs(by), abs(bz), abs(cx), abs(cy), abs(cz))
+    doubt = DOUBT * (abs(dx) + abs(dy) + abs(dz)) * far * far
+    nx, ny, nz = by * cz - bz * cy, bz * cx - bx * cz, bx * cy - by * cx
+    u = dx * nx + dy * ny + dz * nz
+    v = dx * (cy * az - cz * ay) + dy * (cz * ax - cx * az) + dz * (cx * ay - cy * ax)
+    w = dx * (ay * bz - az * by) + dy * (az * bx - ax * bz) + dz * (ax * by - ay * bx)
+    lowest, highest = min(u, v, w), max(u, v, w)
+    if lowest < -doubt and highest > doubt:
+        return misses()
+    height = ax * nx + ay * ny + az * nz
+    is_sure = lowest > doubt or highest < -doubt
+    if is_sure and abs(height) > DOUBT_OF_HEIGHT * far * far * far:
+        sign = math.copysign(1.0, height) * math.copysign(1.0, u)
+        return Crossing(
+            math.copysign(distance_along(a, b, c, origin, direction), sign), sign, True
+        )
+    return cross_in_doubt(a, b, c, origin, direction, zero)
+
+
+@lean_kernel
+def cross_in_doubt(a, b, c, origin, direction, zero):
+    """The same, with the exact sign of each determinant."""
     u = side(origin, b, c, direction, zero)
     v = side(origin, c, a, direction, zero)
     if min(u, v) < 0.0 < max(u, v):
@@ -333,6 +392,9 @@ def enter_flat(vertices, corner, origin, direction, zero, reach):
 # ---- lines through the tree of a mesh
 
 
+RECORD, ALL32 = no_snapshot(3).record.dtype, np.uint32(ALL)
+
+
 class Line(NamedTuple):
     """What `enter_box` reads."""
 
@@ -346,19 +408,38 @@ def visit_line(surface, ray, reach, found, visit):
     """Hand the triangles that a line may cross up to a distance to a visitor; return what it
     found, `found` at first. visit(surface, ray, face, zero, found) returns what is found now, and
     up to where the line goes on.
+
+    The line goes through the snapshot of the tree if there is one, and it is suited to it.
     """
-    nodes, root, zero = surface.nodes, surface.root, stack_array(3, np.float64)
+    nodes, wide, zero = surface.nodes, surface.wide, stack_array(3, np.float64)
     zero[0] = zero[1] = zero[2] = 0.0
-    scale, wide = prepare_ray(ray, nodes[root].lo, nodes[root].hi)
-    line, limit = Line(ray, ALL, wide), traversal_distance(reach, scale)
+    records, place = stack_array(1, RECORD), stack_array(1, np.int32)
+    entries, record = stack_array(STACK, np.int64), records[0]
     stack = Stack(stack_array(DEEPEST, np.int64), stack_array(DEEPEST, np.float64))
-    top = push_root(nodes, root, line, limit, stack, enter_box)
-    while top > 0:
-        leaf, top = next_leaf(nodes, line, limit, stack, top, enter_box)
-        if leaf == NONE:
-            break
-        found, reach = visit(surface, ray, np.int64(leaf >> 1), zero, found)
+    scale, far, limit, top, suited = np.int64(0), False, reach, 0, False
+    if wide.size > 0:
+        units = wide.center, wide.per_length
+        suited = start_ray(record, ray[ORIGIN], ray[DIRECTION], *units, reach)
+        place[0], entries[0], top = 0, 0, 1
+    if not suited:
+        scale, far = prepare_ray(ray, nodes[surface.root].lo, nodes[surface.root].hi)
         limit = traversal_distance(reach, scale)
+    line = Line(ray, ALL, far)
+    if not suited:
+        top = push_root(nodes, surface.root, line, limit, stack, enter_box)
+    while top > 0:
+        if suited:
+            face, top = next_wide_leaf(wide, records, place, ALL32, entries, top)
+        else:
+            leaf, top = next_leaf(nodes, line, limit, stack, top, enter_box)
+            face = leaf >> 1  # NONE of NONE
+        if face == NONE:
+            break
+        found, reach = visit(surface, ray, np.int64(face), zero, found)
+        if suited:
+            record.limit = limit32(reach, record.unit)
+        else:
+            limit = traversal_distance(reach, scale)
     return found
 
 
@@ -380,34 +461,41 @@ def _visit_first(surface, ray, face, zero, found):
         surface.vertices, corner, ray[ORIGIN], ray[DIRECTION], crossing, found.reach
     )
     if within and crossing.s < np.inf:
-        s, nearer = crossing.s, crossing.s < found.s
-        if abs(s - found.s) <= CLOSE * s and share_place(surface, ray, face, found.face, zero):
-            # At one place: only rounding tells the two distances apart.
-            s, nearer = min(s, found.s), True
-            face = min(face, found.face)
-        if nearer or (s == found.s and face < found.face):
-            found = First(s, face, found.reach)
+        line = ray[ORIGIN], ray[DIRECTION], zero
+        if is_before(surface, line, (crossing.s, face), (found.s, found.face)):
+            found = First(crossing.s, face, found.reach)
     return found, min(found.s, found.reach) * (1.0 + CLOSE)
 
 
+@inlined
+def is_before(surface, line, one, other):
+    """Whether a line, (origin, direction, zero vector), meets a triangle, (s, row), before another
+    one. At one place the lower row is first: only rounding tells the two distances apart.
+    """
+    (s, face), (best_s, best_face) = one, other
+    if abs(s - best_s) <= CLOSE * s and share_place(surface, line, face, best_face):
+        return face < best_face
+    return s < best_s or (s == best_s and face < best_face)
+
+
 @lean_kernel
-def share_place(surface, ray, one, other, zero):
+def share_place(surface, line, one, other):
     """Whether a line crosses two triangles at an edge, or a corner, of both; or all three corners
     are the same. False where it runs in the planes of both.
     """
-    return lies_in(surface, ray, one, other, zero) or lies_in(surface, ray, other, one, zero)
+    return lies_in(surface, line, one, other) or lies_in(surface, line, other, one)
 
 
 @lean_kernel
-def lies_in(surface, ray, face, other, zero):
+def lies_in(surface, line, face, other):
     """Whether the corners that the place of a crossing depends on are corners of another triangle,
     too: the two ends where it is on an edge, one where it is at a corner.
     """
     vertices, corner, others = surface.vertices, surface.corners[face], surface.corners[other]
-    depends = False
+    (origin, direction, zero), depends = line, False
     for k in range(3):
         number, first, second = corner[k], corner[(k + 1) % 3], corner[(k + 2) % 3]
-        if side(ray[ORIGIN], vertices[first], vertices[second], ray[DIRECTION], zero) == 0.0:
+        if side(origin, vertices[first], vertices[second], direction, zero) == 0.0:
             continue
         if number != others[0] and number != others[1] and number != others[2]:
             return False
@@ -473,14 +561,19 @@ def holds_point(surface, point):
     """Whether a point is in a solid or on its surface, exactly."""
     ray, inside = stack_array((RAY_ROWS, 3), np.float64), True
     lowest, highest = surface.nodes[surface.root].lo, surface.nodes[surface.root].hi
+    nearest, out, upwards = np.inf, 0, False  # the side of the box that is next
     for axis in range(3):
         inside = inside and lowest[axis] <= point[axis] <= highest[axis]
         ray[ORIGIN, axis] = point[axis]
+        below, above = point[axis] - lowest[axis], highest[axis] - point[axis]
+        if min(below, above) < nearest:
+            nearest, out, upwards = min(below, above), axis, above < below
     if not inside:
         return False
     x, y, z = 0.3719, 0.8377, 0.4001
     for _ in range(MOST_DIRECTIONS):
         ray[DIRECTION, 0], ray[DIRECTION, 1], ray[DIRECTION, 2] = x - 0.5, y - 0.5, z - 0.5
+        ray[DIRECTION, out] += 1.5 if upwards else -1.5
         set_ray(ray, ray[ORIGIN], ray[DIRECTION])
         parity = visit_line(surface, ray, np.inf, Parity(False, False, True), _visit_all)
         if parity.is_on_surface:
@@ -520,44 +613,53 @@ def closest_on_segment(a, b, point, out):
     return total
 
 
+ROUND = 2.0**-20  # of the square of a triangle's longest edge: of more, its normal has digits
+
+
 @lean_kernel
 def closest_on_triangle(vertices, corner, point, out):
-    """Fill in the closest point of a triangle; return the squared distance.
-
-    It is the foot of the perpendicular if that is in the triangle, else on an edge. A sliver, of
-    which rounding leaves no normal, is as near as its edges.
-    """
+    """Fill in the closest point of a triangle; return the squared distance."""
     a, b, c = vertices[corner[0]], vertices[corner[1]], vertices[corner[2]]
-    trial, normal = stack_array(3, np.float64), stack_array(3, np.float64)
-    square, height, u, v, w = 0.0, 0.0, 0.0, 0.0, 0.0
-    for axis in range(3):
-        y, z = (axis + 1) % 3, (axis + 2) % 3
-        normal[axis] = (b[y] - a[y]) * (c[z] - a[z]) - (b[z] - a[z]) * (c[y] - a[y])
-        square += normal[axis] * normal[axis]
-    for axis in range(3):
-        y, z = (axis + 1) % 3, (axis + 2) % 3
-        ay, az = a[y] - point[y], a[z] - point[z]
-        by, bz = b[y] - point[y], b[z] - point[z]
-        cy, cz = c[y] - point[y], c[z] - point[z]
-        u += normal[axis] * (by * cz - bz * cy)
-        v += normal[axis] * (cy * az - cz * ay)
-        w += normal[axis] * (ay * bz - az * by)
-        height += normal[axis] * (a[axis] - point[axis])
-    best = np.inf
+    return closest_between(a, b, c, point, out)
+
+
+@lean_kernel
+def closest_between(a, b, c, point, out):
+    """The same of the triangle with these corners.
+
+    It is the foot of the perpendicular if that is in the triangle, else on an edge with the point
+    on its outer side. A sliver, of which rounding leaves no normal, is as near as its edges.
+    """
+    x, y, z = point[0], point[1], point[2]
+    ax, ay, az = a[0] - x, a[1] - y, a[2] - z
+    bx, by, bz = b[0] - x, b[1] - y, b[2] - z
+    cx, cy, cz = c[0] - x, c[1] - y, c[2] - z
+    px, py, pz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
+    qx, qy, qz = c[0] - a[0], c[1] - a[1], c[2] - a[2]
+    nx, ny, nz = py * qz - pz * qy, pz * qx - px * qz, px * qy - py * qx
+    square = nx * nx + ny * ny + nz * nz
+    u = nx * (by * cz - bz * cy) + ny * (bz * cx - bx * cz) + nz * (bx * cy - by * cx)
+    v = nx * (cy * az - cz * ay) + ny * (cz * ax - cx * az) + nz * (cx * ay - cy * ax)
+    w = nx * (ay * bz - az * by) + ny * (az * bx - ax * bz) + nz * (ax * by - ay * bx)
+    edge = max(abs(px), abs(py), abs(pz), abs(qx), abs(qy), abs(qz))
+    is_round, best = square > (ROUND * edge * edge) * (edge * edge), np.inf
     if square > 0.0 and min(u, v, w) >= 0.0:
-        best = 0.0
-        for axis in range(3):
-            out[axis] = point[axis] + height / square * normal[axis]
-            best += (point[axis] - out[axis]) ** 2
+        share = (nx * ax + ny * ay + nz * az) / square
+        out[0], out[1], out[2] = x + share * nx, y + share * ny, z + share * nz
+        best = (x - out[0]) ** 2 + (y - out[1]) ** 2 + (z - out[2]) ** 2
+        if is_round:
+            return best
+    trial = stack_array(3, np.float64)
     for number in range(3):
         start = a if number == 0 else (b if number == 1 else c)
         end = b if number == 0 else (c if number == 1 else a)
-        if best == np.inf or number > 0:
-            apart = closest_on_segment(start, end, point, trial)
-            if apart < best:
-                best = apart
-                for axis in range(3):
-                    out[axis] = trial[axis]
+        inner = w if number == 0 else (u if number == 1 else v)
+        if is_round and inner > 0.0:
+            continue
+        apart = closest_on_segment(start, end, point, trial)
+        if apart < best:
+            best = apart
+            out[0], out[1], out[2] = trial[0], trial[1], trial[2]
     return best
 
 
@@ -617,17 +719,41 @@ class NearestPoint(NamedTuple):
 
     surface: Any
     out: Any
+    """The closest point so far."""
+    towards: Any
+    """(4,): a unit vector from the point of the query to that, zero at first; its distance."""
+
+
+@inlined
+def is_beyond(vertices, corner, point, towards):
+    """Whether a triangle lies beyond the plane through the closest point so far, across the line
+    from the query to that: then it is no nearer.
+    """
+    beyond = True
+    for number in range(3):
+        vertex, along, size = vertices[corner[number]], 0.0, 0.0
+        for axis in range(3):
+            step = vertex[axis] - point[axis]
+            along += towards[axis] * step
+            size += abs(step)
+        beyond = beyond and along - CLOSE * size > towards[3]
+    return beyond
 
 
 @inlined
 def _look_at_triangle(near_by, query, leaf, square, best, count, limit):
-    trial, surface = stack_array(3, np.float64), near_by.surface
-    apart = closest_on_triangle(surface.vertices, surface.corners[leaf >> 1], query.low, trial)
+    surface, towards, point = near_by.surface, near_by.towards, query.low
+    corner = surface.corners[leaf >> 1]
+    if is_beyond(surface.vertices, corner, point, towards):
+        return np.int64(1), limit
+    trial = stack_array(3, np.float64)
+    apart = closest_on_triangle(surface.vertices, corner, point, trial)
     if apart < best[0]:
-        best[0] = apart
+        best[0], distance = apart, math.sqrt(apart)
         for axis in range(3):
             near_by.out[axis] = trial[axis]
-        limit = pruning_limit(math.sqrt(apart))
+            towards[axis] = (trial[axis] - point[axis]) / distance if distance > 0.0 else 0.0
+        towards[3], limit = distance, pruning_limit(distance)
     return np.int64(1), limit
 
 
@@ -641,14 +767,40 @@ def gap_square(nodes, node, query, limit):
     return total if total <= limit else np.inf
 
 
+@inlined
+def visit_near(near_by, surface, query, best, limit, plane, look_at):
+    """`visit_nearest` of the triangles of a surface: through the snapshot of their tree if there
+    is one, and the query is near enough. `plane` as of `set_plane32`: what does not reach it is
+    left out.
+    """
+    nodes, wide, count = surface.nodes, surface.wide, np.int64(0)
+    box, entries = stack_array(6, np.float32), stack_array(STACK, np.int64)
+    stack = Stack(stack_array(DEEPEST, np.int64), stack_array(DEEPEST, np.float64))
+    entries[0], top = 0, 1
+    suited = surround(wide, query.low, query.high, box)
+    if not suited:
+        top = push_root(nodes, surface.root, query, limit, stack, gap_square)
+    while top > 0 and limit >= 0.0:
+        if suited:
+            around = Surroundings(box, square32(limit, wide.per_length), plane)
+            face, top = next_near_leaf(wide, around, entries, top)
+        else:
+            leaf, top = next_leaf(nodes, query, limit, stack, top, gap_square)
+            face = leaf >> 1  # NONE of NONE
+        if face == NONE:
+            break
+        count, limit = look_at(near_by, query, np.int64(2 * face), 0.0, best, count, limit)
+
+
 @lean_kernel
 def closest_on_surface(surface, point, out):
     """Fill in the closest point of a surface; return the distance."""
-    best = stack_array(1, np.float64)
-    best[0] = np.inf
+    best, towards = stack_array(1, np.float64), stack_array(4, np.float64)
+    best[0] = towards[3] = np.inf
+    towards[0] = towards[1] = towards[2] = 0.0
     query = Near(point, point, 1, np.inf, ALL)
-    near_by = NearestPoint(surface, out)
-    visit_nearest(
-        near_by, surface.nodes, surface.root, query, best, np.inf, gap_square, _look_at_triangle
-    )
+    near_by = NearestPoint(surface, out, towards)
+    plane = stack_array(4, np.float32)
+    no_plane32(plane)
+    visit_near(near_by, surface, query, best, np.inf, plane, _look_at_triangle)
     return math.sqrt(best[0])

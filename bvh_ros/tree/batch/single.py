@@ -14,17 +14,20 @@ from ..compiler import WIDTH, bits_of, inlined, lean_kernel, stack_array, traili
 from ..nodes import NONE, entry_points
 from ..query.ray import ANY, NO_HITS, NO_RAYS, Found, Rays, of_row, raycast_row
 from ..query.slab import EXACT, INSIDE, RAY_ROWS
-from ..simd.float32x16 import seen16, stream16
+from ..simd.float32x16 import above16, near16, seen16, stream16
 from ..simd.float64x4 import look_ahead
 from ..store.turns import REFUSED, count_rays, end_query
 from .snapshot import (
     CORNERS,
     DEEPEST_WIDE,
+    FARTHEST_ORIGIN,
     LOOSE_NODES,
+    WIDER,
     begin_batch,
     fill_whole,
     limit32,
     no_snapshot,
+    outwards,
     start_ray,
 )
 from .streams import (
@@ -90,13 +93,12 @@ def child_of(entry):
 
 
 @inlined
-def next_wide_leaf(snapshot, records, place, mask, stack, top):
-    """The next leaf that a ray may meet within the limit of its record, the one at place[0]:
-    (slot or NONE, top).
+def next_child(snapshot, query, limit, mask, stack, top, meet):
+    """The next leaf that a query may reach: (slot or NONE, top). What waits on the stack beyond
+    `limit`, as `bits_of` has it, is left out; meet(snapshot, query, node, nearest) is the bit mask
+    of the children that are met, and writes where.
     """
-    nearest, hit_lanes = stack_array(WIDTH, np.int32), stack_array(1, np.uint32)
-    record = records[place[0]]
-    limit, octant = bits_of(record.limit), np.uint64(record.octant)
+    nearest = stack_array(WIDTH, np.int32)
     while top > 0:
         top -= 1
         if stack[top] >> 32 > limit:
@@ -104,11 +106,110 @@ def next_wide_leaf(snapshot, records, place, mask, stack, top):
         node = child_of(stack[top])
         if node < 0:
             return ~node, top
-        lanes = stream16(snapshot.planes, node, octant, records, place, hit_lanes, nearest)
+        lanes = meet(snapshot, query, node, nearest)
         if mask != ALL32:
             lanes = np.uint32(lanes & seen16(snapshot.masks, node * WIDTH, mask))
         top = push_children(snapshot, node, lanes, nearest, stack, top)
     return np.int64(NONE), top
+
+
+@inlined
+def next_wide_leaf(snapshot, records, place, mask, stack, top):
+    """The next leaf that a ray may meet within the limit of its record, the one at place[0]:
+    (slot or NONE, top).
+    """
+    hit_lanes, record = stack_array(1, np.uint32), records[place[0]]
+    query = records, place, np.uint64(record.octant), hit_lanes
+    return next_child(snapshot, query, bits_of(record.limit), mask, stack, top, _meet_ray)
+
+
+@inlined
+def _meet_ray(snapshot, query, node, nearest):
+    records, place, octant, hit_lanes = query
+    return stream16(snapshot.planes, node, octant, records, place, hit_lanes, nearest)
+
+
+class Surroundings(NamedTuple):
+    """Where `next_near_leaf` looks."""
+
+    box: Any
+    """(6,) float32: the lower and upper sides of a box, in the snapshot's units."""
+    limit: Any
+    """The largest squared distance, float32."""
+    plane: Any
+    """(4,) float32: see `set_plane32`."""
+
+
+@inlined
+def surround(snapshot, low, high, box):
+    """Fill in the `box` of `Surroundings`; return whether it is near enough for float32."""
+    suited = snapshot.size > 0
+    for axis in range(3):
+        center, unit = snapshot.center[axis], snapshot.per_length
+        box[axis], box[3 + axis] = outwards(low[axis], high[axis], center, unit)
+        suited &= abs(box[axis]) < FARTHEST_ORIGIN and abs(box[3 + axis]) < FARTHEST_ORIGIN
+    return suited
+
+
+@inlined
+def square32(square, unit):
+    """A squared distance in the snapshot's units, surely not less, and finite."""
+    within = np.float32(min(square * unit * unit, LARGEST32))
+    return within * np.float32(1.0 + WIDER) + np.float32(1e-30)
+
+
+@inlined
+def next_near_leaf(snapshot, around, stack, top):
+    """The next leaf whose box is within a squared distance of a box: (slot or NONE, top)."""
+    return next_child(snapshot, around, bits_of(around.limit), ALL32, stack, top, _meet_box)
+
+
+@inlined
+def _meet_box(snapshot, around, node, nearest):
+    lanes = near16(snapshot.planes, node, around.box, around.limit, nearest)
+    if around.plane[3] > -np.inf:
+        lanes &= above16(snapshot.planes, node, around.plane)
+    return lanes
+
+
+@inlined
+def no_plane32(plane):
+    """Fill in a plane that everything reaches."""
+    plane[0] = plane[1] = plane[2] = 0.0
+    plane[3] = -np.inf
+
+
+@inlined
+def set_plane32(snapshot, normal, place, plane):
+    """Fill in a plane, (4,) float32, that boxes surely reach, in the snapshot's units, if anything
+    in them is at `place` or farther along a unit vector.
+    """
+    level = place
+    for axis in range(3):
+        level -= normal[axis] * snapshot.center[axis]
+        plane[axis] = normal[axis]
+    level *= snapshot.per_length
+    plane[3] = level - WIDER * (1.0 + abs(level))
+
+
+@inlined
+def next_ball_leaf(snapshot, records, place, plane, stack, top):
+    """`next_wide_leaf` of boxes that reach a plane."""
+    hit_lanes, record = stack_array(1, np.uint32), records[place[0]]
+    query = (records, place, np.uint64(record.octant), hit_lanes), plane
+    return next_child(snapshot, query, bits_of(record.limit), ALL32, stack, top, _meet_ball)
+
+
+@inlined
+def _meet_ball(snapshot, query, node, nearest):
+    ray, plane = query
+    lanes = _meet_ray(snapshot, ray, node, nearest)
+    if plane[3] > -np.inf:
+        lanes &= above16(snapshot.planes, node, plane)
+    return lanes
+
+
+LARGEST32 = 1e38
 
 
 @inlined

@@ -46,6 +46,7 @@ from ..simd.float64x4 import FOUR, set_slopes
 from ..store.turns import REFUSED, accepted, begin_query, end_query
 
 PAD32 = 2.0**-22
+WIDER = 2.0**-20  # far above the rounding of a float32
 FARTHEST_ORIGIN = 2.0**10
 STEEPEST = 2.0**40
 CORNERS = 2 * FOUR  # numbers of a box around all boxes
@@ -92,6 +93,22 @@ def start_ray(ray, origin, direction, center, per_length, t_max):
     ray.best_t, ray.unit, ray.limit = t_max, unit, limit32(t_max, unit)
     ray.slot, ray.axis, ray.exact = NONE, INSIDE, False
     return suited & (largest > 1e-200) & (unit > 1e-290) & (unit < 1e290)
+
+
+@inlined
+def widen(record, reach):
+    """Let a ray meet boxes as if they were larger by `reach`, in the snapshot's units. Numbers
+    that may be as large as reach * slope are rounded once more here, so there is a pad of more
+    than that.
+    """
+    for axis in range(record.slope.shape[0]):
+        slope, shift = (
+            abs(np.float64(record.slope[axis])),
+            abs(np.float64(record.near_shift[axis])),
+        )
+        more = slope * (reach * (1.0 + WIDER) + WIDER) + shift * WIDER
+        record.near_shift[axis] = np.float32(record.near_shift[axis] - more)
+        record.far_shift[axis] = np.float32(record.far_shift[axis] + more)
 
 
 @inlined

@@ -144,3 +144,70 @@ def seen16(typingctx, masks, at, mask):
         return builder.zext(builder.bitcast(visible, ir.IntType(WIDTH)), _INT)
 
     return sig, codegen
+
+
+@intrinsic
+def near16(typingctx, planes, node, box, limit, nearest):
+    """Bit mask of the sixteen boxes of a wide node whose squared distance from a box is within a
+    limit, float32; `nearest` becomes the bits of the squares. The other box is its three lower and
+    three upper sides.
+    """
+    sig = types.uint32(planes, types.int64, box, types.float32, nearest)
+
+    def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        def part(k: int, first: Any, length: Any) -> Any:
+            return elements_at(context, builder, signature.args[k], args[k], first, length)
+
+        fma = operation(builder, 'llvm.fma.v16f32', _WIDE, [_WIDE] * 3)
+        floats = index(6 * WIDTH)
+        sides, box = part(0, builder.mul(args[1], floats), floats), part(2, index(0), index(6))
+        total = zero = ir.Constant(_WIDE, [0.0] * WIDTH)
+        for axis in range(3):
+            below, above = (
+                builder.load(
+                    builder.bitcast(builder.gep(sides, [index(row * WIDTH)]), _WIDE.as_pointer()),
+                    align=4,
+                )
+                for row in (axis, axis + 3)
+            )
+            low, high = (
+                splat(builder, builder.load(builder.gep(box, [index(row)])), WIDTH)
+                for row in (axis, axis + 3)
+            )
+            gap = pick(builder, '>', builder.fsub(below, high), builder.fsub(low, above))
+            gap = pick(builder, '>', gap, zero)
+            total = builder.call(fma, [gap, gap, total])
+        squares = builder.bitcast(part(4, index(0), index(WIDTH)), _WIDE.as_pointer())
+        builder.store(total, squares, align=4)
+        near = builder.fcmp_ordered('<=', total, splat(builder, args[3], WIDTH))
+        return builder.zext(builder.bitcast(near, ir.IntType(WIDTH)), _INT)
+
+    return sig, codegen
+
+
+@intrinsic
+def above16(typingctx, planes, node, plane):
+    """Bit mask of the sixteen boxes of a wide node that reach a plane: the three numbers of its
+    normal and where it lies along that, float32.
+    """
+    sig = types.uint32(planes, types.int64, plane)
+
+    def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        def part(k: int, first: Any, length: Any) -> Any:
+            return elements_at(context, builder, signature.args[k], args[k], first, length)
+
+        fma = operation(builder, 'llvm.fma.v16f32', _WIDE, [_WIDE] * 3)
+        floats = index(6 * WIDTH)
+        sides, plane = part(0, builder.mul(args[1], floats), floats), part(2, index(0), index(4))
+        height = ir.Constant(_WIDE, [0.0] * WIDTH)
+        *normal, place = (builder.load(builder.gep(plane, [index(k)])) for k in range(4))
+        for axis, along in enumerate(normal):
+            up = builder.fcmp_ordered('>', along, ir.Constant(_FLOAT, 0.0))
+            row = builder.select(up, index((axis + 3) * WIDTH), index(axis * WIDTH))
+            corner = builder.bitcast(builder.gep(sides, [row]), _WIDE.as_pointer())
+            along = splat(builder, along, WIDTH)
+            height = builder.call(fma, [builder.load(corner, align=4), along, height])
+        above = builder.fcmp_ordered('>=', height, splat(builder, place, WIDTH))
+        return builder.zext(builder.bitcast(above, ir.IntType(WIDTH)), _INT)
+
+    return sig, codegen

@@ -1,0 +1,334 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The first hits of many thin rays in a scene with meshes of many triangles.
+
+A ray alone spends most of its time in the tree of a mesh on branches that the processor guesses
+wrong, see `tree.batch.streams`. So rays go to the scene's obstacles one by one, but a ray that may
+meet such a mesh waits. All that wait for one obstacle then go through its tree together. Each
+triangle is decided as for one ray.
+"""
+
+import math
+import threading
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ...tree.access import (
+    CHANGES,
+    CLOSEST,
+    DIRECTION,
+    EXACT,
+    FOUND,
+    INSIDE,
+    MIXED,
+    NONE,
+    NOT_FINITE,
+    ORIGIN,
+    RAY_ROWS,
+    REFUSED,
+    ROOT,
+    TALLY,
+    begin_batch,
+    end_query,
+    make_scratch,
+    of_row,
+    set_ray,
+    start_ray,
+    traverse,
+)
+from ...tree.compiler import inlined, lean_kernel, prefetch, stack_array
+from ..shapes.footprint import FACE
+from ..shapes.hull import form_of, surface_of
+from ..shapes.mesh import SHELL
+from ..shapes.shape import MESH
+from ..shapes.surface import (
+    CLOSE,
+    cross_triangle,
+    first_crossing,
+    holds_point,
+    is_before,
+    is_within,
+)
+from .arguments import SCRATCH, CastWorld, Hits, scratch_in
+from .mesh import come_near, into_frame
+from .query import (
+    Caster,
+    Hit,
+    Query,
+    fill_segment,
+    no_hits,
+    precedes,
+    visit_first,
+    walk,
+    write,
+    write_row,
+)
+
+TOGETHER = 1024  # rays
+MOST_WAITING = 4 * TOGETHER
+EVERYBODY = np.full(1, 0xFFFFFFFF, np.uint32)
+
+
+class Room(NamedTuple):
+    """What a group of rays is worked on in; kernels alone read it."""
+
+    pairs: Any
+    """(MOST_WAITING,) slot of an obstacle, and in the lower half the place of a ray that waits."""
+    boxes: Any
+    """`Hits`, (TOGETHER,): the first axis-aligned box of each ray, as of `no_hits`."""
+    others: Any
+    """The same of other shapes."""
+    lines: Any
+    """(TOGETHER, 2, 3) origins and directions in the frame of the mesh that is looked at."""
+    ends: Any
+    """(TOGETHER, 3): the exponent of the direction's scale, where the line begins, and how far it
+    goes from there, both in units of the direction."""
+    stream: Any
+    """`tree.batch.streams.Scratch`."""
+
+
+def make_room(depth: int) -> Room:
+    """For meshes whose snapshots have up to so many levels."""
+    marks = np.empty((4, TOGETHER), np.int64)
+    times = np.empty((2, TOGETHER))
+    return Room(
+        np.empty(MOST_WAITING, np.int64),
+        Hits(marks[0], times[0], marks[1]),
+        Hits(marks[2], times[1], marks[3]),
+        np.empty((TOGETHER, 2, 3)),
+        np.empty((TOGETHER, 3)),
+        make_scratch(TOGETHER, 3, depth),
+    )
+
+
+class Memory(threading.local):
+    """Room of a thread."""
+
+    def __init__(self) -> None:
+        self.depth, self.room = 0, make_room(0)
+
+
+_memory = Memory()
+
+
+def room_for(depth: int) -> Room:
+    """`make_room`, or what the thread has."""
+    if depth > _memory.depth:
+        _memory.depth, _memory.room = depth, make_room(depth)
+    return _memory.room
+
+
+# ---- a ray among the obstacles
+
+
+class Found(NamedTuple):
+    """What is known of a ray."""
+
+    box: Any
+    other: Any
+    waiting: Any
+    """How many pairs wait."""
+
+
+@inlined
+def visit_or_wait(caster, waiting, slot, found):
+    """`visit_first`, but what may meet a mesh with a snapshot waits, if there is room."""
+    world, (pairs, place) = caster.world, waiting
+    shape = world.geometry[0][slot]
+    if shape.kind == MESH and found.waiting < pairs.shape[0]:
+        span = world.geometry[1].spans[shape.mesh]
+        if span.wide[0] < span.wide[1]:
+            pairs[found.waiting] = slot << 32 | place
+            t = min(found.box.t, found.other.t, caster.query.t_max)
+            return Found(found.box, found.other, found.waiting + 1), t
+    (box, other), t = visit_first(caster, 0, slot, (found.box, found.other))
+    return Found(box, other, found.waiting), t
+
+
+@inlined
+def hit_at(hits, place):
+    return Hit(hits.slots[place], hits.ts[place], hits.features[place])
+
+
+@inlined
+def sort(pairs, count):
+    """Shell sort: mostly they are in order."""
+    gap = count // 2
+    while gap > 0:
+        for i in range(gap, count):
+            pair, j = pairs[i], i
+            while j >= gap and pairs[j - gap] > pair:
+                pairs[j] = pairs[j - gap]
+                j -= gap
+            pairs[j] = pair
+        gap //= 2
+
+
+# ---- many rays at one mesh
+
+
+class Lines(NamedTuple):
+    """What `traverse` reads of rays, and what decides of them."""
+
+    masks: Any
+    mode: Any
+    lines: Any
+    ends: Any
+    zero: Any
+
+
+@inlined
+def fetch_face(surface, rays, face, listed, scratch, tally):
+    """Ask for the memory of a triangle."""
+    prefetch(surface.corners, 3 * face, 1)
+    return False
+
+
+@inlined
+def is_first(surface, ray, rays, row, face, best):
+    """Whether a line crosses a triangle before the best one, (row, s, axis)."""
+    origin, direction = rays.lines[row, 0], rays.lines[row, 1]
+    corner = surface.corners[face]
+    crossing = cross_triangle(surface.vertices, corner, origin, direction, rays.zero)
+    line = origin, direction, rays.zero
+    first = crossing.s < np.inf and (
+        best[0] == NONE
+        or is_before(surface, line, (crossing.s, np.int64(face)), (best[1], best[0]))
+    )
+    if first:
+        first = is_within(surface.vertices, corner, origin, direction, crossing, rays.ends[row, 2])
+    return first, crossing.s, np.int64(INSIDE)
+
+
+@inlined
+def take(world, others, place, hit):
+    """Keep a hit that is before the other shapes of a ray so far."""
+    best = hit_at(others, place)
+    before = hit.t < best.t or (hit.t == best.t and best.slot == NONE)
+    if hit.t == best.t and best.slot != NONE:
+        before = world.handles[hit.slot] < world.handles[best.slot]
+    if before:
+        write(hit, others, place)
+
+
+@inlined
+def set_row(rays, row, ray):
+    """Write a row as a ray of `slab`."""
+    for axis in range(3):
+        start, end = rays.origins[row, axis], rays.directions[row, axis]
+        ray[ORIGIN, axis] = start
+        ray[DIRECTION, axis] = end - start if rays.to_goals else end
+
+
+@lean_kernel
+def cast_at_mesh(world, rays, start, begin, end, room):
+    """Decide the waiting pairs [begin, end), all of one obstacle; place 0 is the row `start`."""
+    slot, stream, alive = room.pairs[begin] >> 32, room.stream, 0
+    shape, hulls = world.geometry[0][slot], world.geometry[1]
+    surface, is_solid = surface_of(hulls, shape), form_of(hulls, shape) != SHELL
+    wide, zero = surface.wide, stack_array(3, np.float64)
+    given, ray = stack_array((RAY_ROWS, 3), np.float64), stack_array((RAY_ROWS, 3), np.float64)
+    tally = stack_array(TALLY, np.int64)
+    zero[0] = zero[1] = zero[2] = 0.0
+    for j in range(begin, end):
+        place, k = room.pairs[j] & 0xFFFFFFFF, j - begin
+        row = start + place
+        set_row(rays, row, given)
+        t_max = of_row(rays.t_max, row)
+        exponent, is_still = into_frame(surface.radius, shape, given, ray)
+        if is_solid and holds_point(surface, ray[ORIGIN]):
+            if not rays.skip_inside:
+                take(world, room.others, place, Hit(slot, 0.0, np.int64(INSIDE)))
+            continue
+        reach = math.ldexp(t_max, -exponent)
+        if is_still:
+            ray[DIRECTION, 0], reach = 1.0, 0.0
+        first = come_near(surface.radius, ray)
+        if not first <= reach:
+            continue
+        for axis in range(3):
+            room.lines[k, 0, axis] = ray[ORIGIN, axis]
+            room.lines[k, 1, axis] = ray[DIRECTION, axis]
+        room.ends[k, 0], room.ends[k, 1], room.ends[k, 2] = exponent, first, reach - first
+        before = min(room.boxes.ts[place], room.others.ts[place])
+        near = math.ldexp(before, -exponent) * (1.0 + CLOSE) - first
+        record, units = stream.records[k], (wide.center, wide.per_length)
+        limit = min(near, (reach - first) * (1.0 + CLOSE))
+        if start_ray(record, ray[ORIGIN], ray[DIRECTION], *units, limit):
+            stream.lists[alive] = k
+            alive += 1
+        else:
+            s, face = first_crossing(surface, ray, reach - first)
+            if face != NONE:
+                t = min(math.ldexp(first + s, exponent), t_max)
+                take(world, room.others, place, Hit(slot, t, FACE + face))
+    tally[FOUND] = 0
+    if alive == 0:
+        return
+    lines = Lines(EVERYBODY, CLOSEST, room.lines, room.ends, zero)
+    group = MIXED, stream.rows, alive
+    traverse(wide, surface, group, lines, stream, tally, fetch_face, is_first)
+    for k in stream.found[: tally[FOUND]]:
+        place, best = room.pairs[begin + k] & 0xFFFFFFFF, stream.records[k]
+        s = math.ldexp(room.ends[k, 1] + best.best_t, int(room.ends[k, 0]))
+        t = min(s, of_row(rays.t_max, start + place))
+        take(world, room.others, place, Hit(slot, t, FACE + np.int64(best.slot)))
+
+
+# ---- a batch
+
+
+@lean_kernel
+def decide_waiting(world, rays, start, count, room):
+    """Decide so many waiting pairs, obstacle by obstacle."""
+    sort(room.pairs, count)
+    begin = 0
+    while begin < count:
+        slot, end = room.pairs[begin] >> 32, begin + 1
+        while end < count and room.pairs[end] >> 32 == slot and end - begin < TOGETHER:
+            end += 1
+        cast_at_mesh(world, rays, start, begin, end, room)
+        begin = end
+
+
+@lean_kernel
+def cast_together(view, snapshot, shapes, node_handles, rays, place, room, hits):
+    """`batch.cast_rows` of thin rays."""
+    tree, (row, stop) = view.tree, place
+    scratch = scratch_in(stack_array(SCRATCH, np.float64), 3)
+    direction = stack_array(3, np.float64)
+    for k in range(TOGETHER):
+        room.stream.rows[k] = k
+    room.stream.ray[EXACT, 0] = 0.0
+    if not begin_batch(tree, view.version, snapshot):
+        return REFUSED, np.int64(0), 0
+    version = tree.state[CHANGES]
+    world = CastWorld(tree.nodes, tree.tight, tree.handles, tree.state[ROOT], *shapes)
+    while 0 <= row < stop:
+        end, waiting = min(stop, row + TOGETHER), np.int64(0)
+        for k in range(end - row):
+            origin, goal = rays.origins[row + k], rays.directions[row + k]
+            if not fill_segment(origin, goal, rays.to_goals, 1.0, direction):
+                end = NOT_FINITE
+                break
+            set_ray(scratch.ray, origin, direction)
+            t_max, mask = of_row(rays.t_max, row + k), of_row(rays.masks, row + k)
+            query = Query(0.0, 0.0, t_max, mask, rays.skip_inside, False, snapshot.loose > 0)
+            caster, pairs = Caster(world, query, scratch), (room.pairs, k)
+            box, other = no_hits()
+            nothing = Found(box, other, waiting)
+            found = walk(caster, snapshot, (origin, direction), pairs, nothing, visit_or_wait)
+            write(found.box, room.boxes, k)
+            write(found.other, room.others, k)
+            waiting = found.waiting
+        if end >= 0:
+            decide_waiting(world, rays, row, waiting, room)
+            for k in range(end - row):
+                set_row(rays, row + k, scratch.ray)
+                box, other = hit_at(room.boxes, k), hit_at(room.others, k)
+                hit = box if precedes(world, scratch.ray, box, other) else other
+                write_row(world, scratch, node_handles, None, hit, 1.0, row + k, hits)
+        row = end
+    end_query(tree.state)
+    return row, np.int64(0), version
