@@ -7,13 +7,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ...tree.access import ALL, NONE, Near, pruning_limit, visit_nearest
+from ...tree.access import ALL, NONE, Near, no_plane32, pruning_limit, set_plane32
 from ...tree.compiler import chosen_by_types, inlined, lean_kernel, stack_array
 from ..shapes.footprint import closest_on_footprint
 from ..shapes.hull import are_any, form_of, hull_of, hull_of_point, surface_of, triangle_hull
 from ..shapes.mesh import CONVEX, SOLID
 from ..shapes.shape import BOX, CAPSULE, CYLINDER, MESH, SPHERE, fill_rotation, rotate, scale_of
-from ..shapes.surface import closest_on_surface, gap_square, holds_point
+from ..shapes.surface import closest_between, closest_on_surface, holds_point, visit_near
 from .certified import certified_bounds, set_normal
 from .gjk import (
     AXES,
@@ -27,6 +27,7 @@ from .gjk import (
     Core,
     dot,
     separation,
+    support,
 )
 
 # ---- How far a point is from a convex mesh, as GJK says.
@@ -561,8 +562,69 @@ def fill_box_in_frame(pair, box):
         box[1, axis] += FRAMES * size
 
 
+class Plane(NamedTuple):
+    """A plane that the other shape lies behind, as of `keeps_off`, in the frame of the mesh."""
+
+    normal: Any
+    """(3,) towards the other shape."""
+    place: Any
+    """(1,) where along the normal the other shape begins; -inf if that is not known."""
+    doubt: Any
+    """By how much rounding may move it."""
+
+
+@lean_kernel
+def set_plane(pair, other_hull, towards, plane):
+    """Set a `Plane` across a direction of the world, of any length."""
+    rows, point = stack_array((CORE_ROWS, 3), np.float64), stack_array(3, np.float64)
+    size = length(towards)
+    plane.place[0] = -np.inf
+    for axis in range(3):
+        plane.normal[axis] = point[axis] = 0.0
+    if not 0.0 < size < np.inf:
+        return
+    for axis in range(3):
+        plane.normal[axis] = towards[axis] / size
+    is_round, radius = fill_core(pair.other, pair.one.position, 0, False, rows)
+    support(rows, is_round, other_hull, plane.normal, 1.0, point)
+    plane.place[0] = dot(plane.normal, point) - radius
+    rotate(pair.one.orientation, plane.normal, -1.0)
+
+
 @inlined
-def compare_triangle(pair, face, places, other_places, touches, best):
+def keeps_off(plane, places, limit):
+    """Whether a plane keeps a triangle farther off than a limit."""
+    highest = -np.inf
+    for number in range(3):
+        highest = max(highest, dot(plane.normal, places[number]))
+    return plane.place[0] - highest - plane.doubt > limit
+
+
+@inlined
+def reach_plane(surface, plane, limit, above):
+    """Leave out the boxes of triangles that `keeps_off` a limit."""
+    set_plane32(surface.wide, plane.normal, plane.place[0] - plane.doubt - limit, above)
+
+
+@lean_kernel
+def lies_apart(pair, other_hull, places, plane, limit):
+    """Whether the plane across the line from a triangle to the centre of the other shape keeps the
+    two farther apart than a limit; `plane` is scratch.
+    """
+    centre, closest = stack_array(3, np.float64), stack_array(3, np.float64)
+    for axis in range(3):
+        centre[axis] = pair.other.position[axis]
+    to_frame(pair.one, False, centre)
+    closest_between(places[0], places[1], places[2], centre, closest)
+    for axis in range(3):
+        centre[axis] -= closest[axis]
+    rotate(pair.one.orientation, centre, 1.0)
+    set_plane(pair, other_hull, centre, plane)
+    return keeps_off(plane, places, limit)
+
+
+@inlined
+def compare_triangle(pair, face, places, other_places, planes, above, touches, best):
     """Compare a triangle of the first mesh with the other convex shape, or its triangle:
     `touches`, None or True, says whether only contact counts. Returns what best[0] is to become.
     """
@@ -573,6 +635,14 @@ def compare_triangle(pair, face, places, other_places, touches, best):
     else:
         other_surface = surface_of(pair.other_hulls, pair.other)
         other_hull = triangle_hull(pair.other_hulls, other_surface, pair.face, other_places)
+    limit = best[0] if touches is None else pair.tolerance
+    if not pair.planar:
+        if keeps_off(planes[0], places, limit) or keeps_off(planes[1], places, limit):
+            return np.inf
+        if lies_apart(pair, other_hull, places, planes[1], limit):
+            if touches is not None:
+                reach_plane(surface, planes[1], limit, above)
+            return np.inf
     if touches is not None:
         is_near, _ = near_hulls(
             pair.one, hull, pair.other, other_hull, pair.tolerance, pair.planar
@@ -584,6 +654,11 @@ def compare_triangle(pair, face, places, other_places, touches, best):
         for row in range(2):
             for axis in range(3):
                 pair.points[row, axis] = points[row, axis]
+        for axis in range(3):
+            points[1, axis] -= points[0, axis]
+        if not pair.planar:
+            set_plane(pair, other_hull, points[1], planes[0])
+            reach_plane(surface, planes[0], distance, above)
     return distance
 
 
@@ -594,12 +669,17 @@ class Compared(NamedTuple):
     touches: Any
     places: Any
     other_places: Any
+    planes: Any
+    """Two `Plane`: across the line to the nearest triangle so far, and of the last one that
+    `lies_apart` looked at."""
+    above: Any
+    """See `reach_plane`."""
 
 
 @inlined
 def _look_at_triangle(compared, query, leaf, square, best, count, limit):
-    (pair, touches, places, other_places), face = compared, np.int64(leaf >> 1)
-    distance = compare_triangle(pair, face, places, other_places, touches, best)
+    (pair, touches, places, other_places, planes, above), face = compared, np.int64(leaf >> 1)
+    distance = compare_triangle(pair, face, places, other_places, planes, above, touches, best)
     if distance < best[0]:
         best[0] = distance
         limit = -1.0 if distance == 0.0 else pruning_limit(distance)
@@ -617,16 +697,25 @@ def visit_triangles(pair, touches, best):
     surface = surface_of(pair.hulls, pair.one)
     limit = best[0] if touches is None else pair.tolerance
     query = Near(box[0], box[1], 1, limit, ALL)
-    compared = Compared(pair, touches, places, other_places)
-    visit_nearest(
-        *(compared, surface.nodes, surface.root, query, best),
-        *(pruning_limit(limit), gap_square, _look_at_triangle),
-    )
+    doubt = surface.radius + pair.tolerance
+    for row in range(2):
+        for axis in range(3):
+            doubt = max(doubt, abs(box[row, axis]))
+    doubt *= FRAMES
+    normals, begins = stack_array((2, 3), np.float64), stack_array(2, np.float64)
+    above = stack_array(4, np.float32)
+    no_plane32(above)
+    begins[0] = begins[1] = -np.inf
+    for axis in range(3):
+        normals[0, axis] = normals[1, axis] = 0.0
+    planes = Plane(normals[0], begins[:1], doubt), Plane(normals[1], begins[1:], doubt)
+    compared = Compared(pair, touches, places, other_places, planes, above)
+    visit_near(compared, surface, query, best, pruning_limit(limit), above, _look_at_triangle)
 
 
 @inlined
 def _look_at_other(compared, query, leaf, square, best, count, limit):
-    pair, touches, _, _ = compared
+    pair, touches, _, _, _, _ = compared
     one, hulls, other, other_hulls, planar, tolerance, points, _ = pair
     face = np.int64(leaf >> 1)
     single = Pair(other, other_hulls, one, hulls, planar, tolerance, points, face)
@@ -649,11 +738,10 @@ def visit_both(pair, touches, best):
     surface = surface_of(pair.hulls, pair.one)
     limit = best[0] if touches is None else pair.tolerance
     query = Near(box[0], box[1], 1, limit, ALL)
-    compared = Compared(pair, touches, places, places)
-    visit_nearest(
-        *(compared, surface.nodes, surface.root, query, best),
-        *(pruning_limit(limit), gap_square, _look_at_other),
-    )
+    above = stack_array(4, np.float32)
+    no_plane32(above)
+    compared = Compared(pair, touches, places, places, None, above)
+    visit_near(compared, surface, query, best, pruning_limit(limit), above, _look_at_other)
 
 
 @lean_kernel
