@@ -9,11 +9,22 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from .. import DynamicBVH
-from ..scene import Scene, Shapes
-from .libraries import COAL, EMBREE, LIBRARIES, OURS, Library, Rows
+from ..scene import Mesh, Scene, Shapes
+from .libraries import COAL, EMBREE, LIBRARIES, OURS, Library, Rows, embree_scene
 from .page import BLUE, ORANGE, RED, Cell, Page
 from .questions import Queries, of_scene, of_tree
-from .scenes import EDGE, Boxes, Floats, Rays, incoherent_rays, query_edge, spread, uniform_boxes
+from .scenes import (
+    EDGE,
+    Boxes,
+    Floats,
+    Rays,
+    incoherent_rays,
+    query_edge,
+    spread,
+    uniform_boxes,
+    units,
+    wavy_ring,
+)
 from .timing import Job, each, interleaved, one_processor, repeated
 
 # ---- All libraries on the same work
@@ -395,8 +406,95 @@ def _peer_jobs(boxes: Boxes, queries: Queries) -> dict[str, tuple[str, Job]]:
     return found
 
 
+# ---- Meshes that are not convex
+
+
+GRIDS = (32, 20), (320, 128)  # fields of the ring: 1,280 and 81,920 triangles
+MESH_RAYS, MESH_QUERIES, MESH_REPEATS = 20_000, 1_000, 9
+BALL, POSES = 0.1, 1_000  # m; obstacles that share a mesh
+
+
+def meshes(page: Page, brief: bool) -> None:
+    """A solid ring with waves, 2.9 m across: random rays from 3 m away to anywhere in the box
+    around it, as Embree answers them with triangle, u, v and t; balls of 0.1 m on such rays;
+    points in a box three times as large; boxes and balls up to 2 m away. Of *new poses*, 1,000
+    obstacles share the mesh, beside as many turned boxes.
+    """
+    count, queries, repeats = (50, 20, 3) if brief else (MESH_RAYS, MESH_QUERIES, MESH_REPEATS)
+    rows: list[list[Cell]] = []
+    for grid in ((8, 6),) if brief else GRIDS:
+        jobs, shared = _mesh_jobs(wavy_ring(*grid), count, queries)
+        found = interleaved(jobs, repeats)
+        for name in jobs:
+            if name in PEERS_OF_MESHES.values():
+                continue
+            time, peer = found[name].microseconds, PEERS_OF_MESHES.get(name)
+            theirs = found[peer].microseconds if peer in found else None
+            ratio = None if theirs is None else time / theirs
+            rows.append([shared, name, time, peer if peer in found else '', theirs, ratio])
+    columns = ['triangles', 'work', 'us', 'beside', 'us there', 'ours / this']
+    page.table('peers_meshes', columns, rows)
+
+
+BUILD, POSED = 'build', 'new pose'
+THIN = 'ray'
+PEERS_OF_MESHES = {THIN: 'ray, Embree', BUILD: 'build, Embree', POSED: 'new pose, turned box'}
+
+
+def _mesh_jobs(ring: tuple[Floats, Any], count: int, queries: int) -> tuple[dict[str, Job], int]:
+    """The work on a mesh, and how many triangles it has."""
+    (vertices, faces), rng = ring, np.random.default_rng(0)
+    mesh, extent = Mesh(vertices, faces), np.abs(vertices).max(axis=0)
+    scene = Scene()
+    scene.update('report', ['ring'], Shapes.of_meshes(mesh, np.zeros((1, 3))), stamp=0)
+    origins = 3.0 * units(rng.normal(size=(count, 3)))
+    directions = rng.uniform(-extent, extent, (count, 3)) - origins
+    some = slice(0, queries)
+    points, centres = rng.uniform(-3, 3, (2, queries, 3)) * extent
+    centres = units(centres) * rng.uniform(1.5, 3.5, (queries, 1))
+    turns = units(rng.normal(size=(queries, 4)))
+    edges = np.full((queries, 3), 0.3)
+    boxes = Shapes.boxes(centres, edges, turns)
+    balls = Shapes.spheres(centres, np.full(queries, 0.2))
+    jobs = {
+        THIN: Job(lambda: scene.raycast_many(origins, directions), count),
+        'swept ball': Job(
+            lambda: scene.raycast_many(origins[some], directions[some], 1.0, radius=BALL), queries
+        ),
+        'nearest': Job(lambda: scene.nearest_many(points), queries),
+        'clearance of a turned box': Job(lambda: scene.clearance_many(boxes), queries),
+        'clearance of a ball': Job(lambda: scene.clearance_many(balls), queries),
+        'overlap of a turned box': Job(lambda: scene.overlap_many(centres, edges, turns), queries),
+        BUILD: Job(lambda: Mesh(vertices, faces).tree, 1),
+        POSED: _pose_job(lambda at, turn: Shapes.of_meshes(mesh, at, turn), rng),
+        PEERS_OF_MESHES[POSED]: _pose_job(
+            lambda at, turn: Shapes.boxes(at, np.full((POSES, 3), 1.0), turn), rng
+        ),
+    }
+    if EMBREE.installed():
+        theirs = vertices.astype(np.float32), faces
+        peer = embree_scene(theirs)
+        rays = [np.ascontiguousarray(part, np.float32) for part in (origins, directions)]
+        jobs[PEERS_OF_MESHES[THIN]] = Job(lambda: peer.run(*rays, output=True), count)
+        jobs[PEERS_OF_MESHES[BUILD]] = Job(lambda: embree_scene(theirs), 1)
+    return jobs, len(faces)
+
+
+def _pose_job(shapes: Callable[[Floats, Floats], Shapes], rng: np.random.Generator) -> Job:
+    """New poses for all of many obstacles."""
+    scene, names = Scene(), [f'one{row}' for row in range(POSES)]
+    poses = [(spread(POSES, rng), units(rng.normal(size=(POSES, 4)))) for _ in range(4)]
+    turns = cycle([shapes(*pose) for pose in poses])
+
+    def run() -> None:
+        scene.update('report', names, next(turns), stamp=0)
+
+    return Job(run, POSES)
+
+
 SECTIONS = {
     'The same work': one_processor()(all_tasks),
     'Batches of rays': one_processor()(batches),
     'Calls': calls,
+    'Meshes': one_processor()(meshes),
 }

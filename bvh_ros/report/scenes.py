@@ -78,3 +78,17 @@ def query_edge(boxes: Boxes, hits: float) -> float:
         overlaps = float(np.prod(boxes.edges + edge, axis=1).sum()) / EDGE**3
         low, high = (edge, high) if overlaps < hits else (low, edge)
     return low
+
+
+def wavy_ring(around: int, across: int) -> tuple[Floats, NDArray[np.int32]]:
+    """Vertices, m, and faces of a solid ring with waves, two triangles a field of the grid."""
+    u = np.arange(around)[:, None] * (2 * np.pi / around)
+    v = np.arange(across)[None] * (2 * np.pi / across)
+    thick = 0.4 + 0.06 * np.sin(7 * u) * np.cos(3 * v)
+    wide = 1.0 + thick * np.cos(v)
+    parts = wide * np.cos(u), wide * np.sin(u), thick * np.sin(v)
+    row = np.arange(around * across).reshape(around, across)
+    beside, above = np.roll(row, -1, axis=0), np.roll(row, -1, axis=1)
+    corner = np.roll(beside, -1, axis=1)
+    faces = np.stack([row, beside, corner, row, corner, above], axis=2)
+    return np.stack(parts, axis=2).reshape(-1, 3), faces.reshape(-1, 3).astype(np.int32)
