@@ -32,6 +32,7 @@ SCENE: dict[str, dict[str, Any]] = {
     'clearance': {'name': 'a', 'signed': True, 'at': 0},
     'clearance_many': {'shapes': FIVE, 'max_distance': 9.0, 'mask': 1, 'signed': False,
                        'threads': 1, 'at': 0},
+    'collisions_many': {'shapes': FIVE, 'mask': 1, 'threads': 1, 'at': 1},
     'count': {'mask': 1},
     'expire': {'now': 10, 'most': 1},
     'find': {'source': 's', 'names': ['a'], 'namespaces': ()},
@@ -281,8 +282,8 @@ PLAIN = {
             'max_prediction', 'newest', 'planar', 'plot', 'rebuild', 'sources', 'stats',
             'validate'},
 }  # fmt: skip
-ASKED_BY_NODES = {'find', 'handles_of', 'has_expired', 'newcomers', 'prepare_rays', 'shapes_of',
-                  'tree_levels'}  # fmt: skip
+ASKED_BY_NODES = {'collisions_many', 'find', 'handles_of', 'has_expired', 'newcomers',
+                  'prepare_rays', 'shapes_of', 'tree_levels'}  # fmt: skip
 
 
 @pytest.mark.parametrize(('cls', 'table'), [(DynamicBVH, TREE), (Scene, SCENE)])
