@@ -601,35 +601,6 @@ def set_plane(pair, other_hull, towards, plane):
     rotate(pair.one.orientation, plane.normal, -1.0)
 
 
-class Plane(NamedTuple):
-    """A plane that the other shape lies behind, as of `keeps_off`, in the frame of the mesh."""
-
-    normal: Any
-    """(3,) towards the other shape."""
-    place: Any
-    """(1,) where along the normal the other shape begins; -inf if that is not known."""
-    doubt: Any
-    """By how much rounding may move it."""
-
-
-@lean_kernel
-def set_plane(pair, other_hull, towards, plane):
-    """Set a `Plane` across a direction of the world, of any length."""
-    rows, point = stack_array((CORE_ROWS, 3), np.float64), stack_array(3, np.float64)
-    size = length(towards)
-    plane.place[0] = -np.inf
-    for axis in range(3):
-        plane.normal[axis] = point[axis] = 0.0
-    if not 0.0 < size < np.inf:
-        return
-    for axis in range(3):
-        plane.normal[axis] = towards[axis] / size
-    is_round, radius = fill_core(pair.other, pair.one.position, 0, False, rows)
-    support(rows, is_round, other_hull, plane.normal, 1.0, point)
-    plane.place[0] = dot(plane.normal, point) - radius
-    rotate(pair.one.orientation, plane.normal, -1.0)
-
-
 @inlined
 def keeps_off(plane, places, limit):
     """Whether a plane keeps a triangle farther off than a limit."""
