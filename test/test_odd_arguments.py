@@ -110,8 +110,8 @@ MESH: dict[str, dict[str, Any]] = {
 
 # What other rooms call, with what the tree or the scene gave them.
 INSIDE = {
-    NodeScene: {'is_prepared', 'prepare_times', 'discard', 'discard_in_slices', 'names_still_there',
-                'in_slices', 'is_long', 'own_box', 'triangles_met'},
+    NodeScene: {'is_prepared', 'prepare_times', 'discard', 'discard_in_slices', 'in_slices',
+                'is_long', 'names_still_there', 'own_box', 'triangles_met'},
     Forest: {'__init__'},  # of `open` and `build`
 }  # fmt: skip
 DRAWN = {'plot'}  # `test_plotting` of the tree and of the scene
