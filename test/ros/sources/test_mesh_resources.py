@@ -13,9 +13,13 @@ from urllib.parse import quote
 import numpy as np
 import pytest
 from ros.conversions.generators import ended
+from ros.conversions.marker_tables import table
 from scene.reference import box_of_triangles
 
 pytest.importorskip('rclpy', reason='rclpy is not installed', exc_type=ImportError)
+
+from rclpy.serialization import serialize_message
+from visualization_msgs.msg import Marker, MarkerArray
 
 from bvh_ros.ros.config.parameters import SourceSettings
 from bvh_ros.ros.conversions import markers
@@ -246,7 +250,7 @@ def resource(number, name, scale=(1, 1, 1), kind=MESH_RESOURCE):
 
 def change(*array, **given):
     given = {'now': NOW, 'into_node': lambda _frame, _stamp: None} | given
-    return ended(markers.change(markers.table(array), **given))
+    return ended(markers.change(table(array), **given))
 
 
 def test_markers_become_meshes_or_say_why_not(finder, files):
@@ -285,13 +289,18 @@ def test_it_is_unknown_until_the_scene_holds_it(finder, files):
     settings = SourceSettings(*('s', 'MarkerArray', 't', '', False, 0.0), {'meshes': AS_SOLID})
     frames = SimpleNamespace(into_node=lambda _frame, _stamp: None)
     source = MarkerArraySource(node, settings, scene, frames)
-    source.raw, source.mesh_files = False, lambda: finder
-    boxes = [resource(k, '', kind=1) for k in range(2, 20_000)]
-    array = [resource(1, f'file://{files}/meshes/a.stl'), *boxes]
-    for _ in source.apply(SimpleNamespace(markers=array), NOW):
+    source.mesh_files = lambda: finder
+    array = MarkerArray(markers=[Marker(ns='a', id=k, type=1) for k in range(1, 20_000)])
+    for number, marker in enumerate(array.markers, 1):
+        marker.pose.position.x = float(number)
+        marker.scale.x = marker.scale.y = marker.scale.z = 1.0
+    array.markers[0].type = MESH_RESOURCE
+    array.markers[0].mesh_resource = f'file://{files}/meshes/a.stl'
+    message = [serialize_message(array)]
+    for _ in source.apply(message, NOW):
         assert source.problem(NOW).startswith("source 's' loads file:///")
     assert (source.problem(NOW), len(scene)) == ('', 19_999)
-    for _ in source.apply(SimpleNamespace(markers=array), NOW):
+    for _ in source.apply(message, NOW):
         assert source.problem(NOW) == ''  # it is known
 
 

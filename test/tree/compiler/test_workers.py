@@ -149,7 +149,7 @@ def test_no_worker_outlives_who_started_it(tmp_path, how, ahead):
 HOLD = """
 import sys, time
 from pathlib import Path
-from bvh_ros.tree.compiler.entry_lock import EntryLock
+from bvh_ros.tree.compiler.kernel_files import EntryLock
 
 lock = EntryLock()
 print('here', flush=True)
