@@ -179,8 +179,8 @@ def main() -> int:
     parser.add_argument('--quick', action='store_true')
     parser.add_argument('--only', nargs='+', choices=DRAWN, default=[*DRAWN], metavar='NAME')
     options = parser.parse_args()
-    if shown() != set(DRAWN):
-        print(f'shown, or drawn, but not both: {", ".join(sorted(shown() ^ set(DRAWN)))}')
+    if differ := shown() ^ set(DRAWN):
+        print(f'shown, or drawn, but not both: {", ".join(sorted(differ))}')
         return 1
     for name in options.only:
         file = options.folder / name

@@ -264,10 +264,7 @@ def first_hits(tree: OpenTree, columns: Columns, rays: Rays, threads: int = 1) -
         every = view, snapshot, shapes, handles, rays, (0, count), room, hits
         begun, _, version = code_for(kernel, shapes, every, room is None)(*every)
         if begun == count:
-            found: CastHits = tuple.__new__(CastHits, parts)
-            if triangles is not None:
-                found._triangles = triangles
-            return found
+            return cast_hits(parts, triangles)
         if begun < 0:
             begun, (view, snapshot) = 0, tree_and_snapshot(tree, count)
         else:

@@ -351,15 +351,12 @@ def test_what_is_inside_touches_and_a_hollow_is_free():
         assert (scene.clearance('small').distance == 0.0) == wanted
 
 
-def test_one_that_moves():
-    """At a time a ring stands elsewhere: rays, points and boxes see it there."""
-    scene = Scene()
-    ring_shape = Shapes.of_meshes(Mesh(SOLIDS['ring'] / 8.0), [0, 0, 0])
-    scene.update('test', ['ring'], ring_shape, stamp=0, velocities=[[1, 0, 0]])
-    still = scene_of(Shapes.of_meshes(Mesh(SOLIDS['ring'] / 8.0), [2, 0, 0]))
+def assert_same_at(scene, at, still):
+    """At a time nearest points, boxes, rays and balls see what they see in a scene that stands
+    still; return the points, and where rays go from each.
+    """
     rng = np.random.default_rng(9)
     points, goals = rng.uniform(-3, 4, (2, 60, 3))
-    at = 2 * 10**9
     found = scene.nearest_many(points, at=at)[1]
     assert found == pytest.approx(still.nearest_many(points)[1], abs=1e-12)
     boxes = Shapes.boxes(points, (0.4, 0.4, 0.4))
@@ -372,3 +369,13 @@ def test_one_that_moves():
             stood = still.raycast(start, goal, radius)
             assert (moved is None) == (stood is None)
             assert moved is None or moved.t == pytest.approx(stood.t, abs=1e-12)
+    return points, goals
+
+
+def test_one_that_moves():
+    """At a time a ring stands elsewhere: rays, points and boxes see it there."""
+    scene = Scene()
+    ring_shape = Shapes.of_meshes(Mesh(SOLIDS['ring'] / 8.0), [0, 0, 0])
+    scene.update('test', ['ring'], ring_shape, stamp=0, velocities=[[1, 0, 0]])
+    still = scene_of(Shapes.of_meshes(Mesh(SOLIDS['ring'] / 8.0), [2, 0, 0]))
+    assert_same_at(scene, 2 * 10**9, still)

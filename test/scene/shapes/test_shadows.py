@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scene.inside import store_of
 from scene.reference import icosphere, scene_of
-from scene.shapes.test_any_mesh import SOLIDS, SURFACES, box, segments
+from scene.shapes.test_any_mesh import SOLIDS, SURFACES, assert_same_at, box, segments
 from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
@@ -442,22 +442,10 @@ def test_one_that_moves():
     ring = Shapes.of_meshes(Mesh(SOLIDS['ring'] / 8.0), [0, 0, 0], [(0.2, 0, 0.3, 0.93)])
     scene.update('test', ['ring'], ring, stamp=0, velocities=[[1, 0, 0]])
     still = scene_of(ring._replace(position=np.array([(2.0, 0.0, 0.0)])), planar=True)
-    rng = np.random.default_rng(9)
-    points, goals = rng.uniform(-3, 4, (2, 60, 3))
     at = 2 * 10**9
-    found = scene.nearest_many(points, at=at)[1]
-    assert found == pytest.approx(still.nearest_many(points)[1], abs=1e-12)
-    boxes = Shapes.boxes(points, (0.4, 0.4, 0.4))
-    assert scene.clearance_many(boxes, at=at)[1] == pytest.approx(
-        still.clearance_many(boxes)[1], abs=1e-12
-    )
+    points, goals = assert_same_at(scene, at, still)
     body = Shapes.boxes([0, 0, 0], (0.4, 0.3, 0.2))
     for start, goal in zip(points[:20], goals[:20], strict=True):
-        for radius in (0.0, 0.2):
-            moved = scene.raycast(start, goal, radius, at=at)
-            stood = still.raycast(start, goal, radius)
-            assert (moved is None) == (stood is None)
-            assert moved is None or moved.t == pytest.approx(stood.t, abs=1e-12)
         body = body._replace(position=start[None])
         moved = scene.sweep_shape(body, goal, at=at, until=at)
         stood = still.sweep_shape(body, goal)
