@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import argparse
 import ctypes
+import faulthandler
 import sys
 from collections.abc import Callable
 
@@ -45,6 +46,7 @@ class BvhNode(Node):
 
 def run(executable: str, create: Callable[[], Node], args: list[str] | None) -> int:
     """Create a node and spin it until Ctrl-C or SIGTERM; return the exit code."""
+    faulthandler.enable()  # a crash in native code says where
     prepare()
     keep_memory()
     interrupts = Interrupts()

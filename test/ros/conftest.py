@@ -23,6 +23,7 @@ from ros.clouds import cloud
 START_TIMEOUT = 400.0  # seconds: the very first start compiles
 SETTLING = 1.0  # s: until a service has found who asks, too
 TIMEOUT = 60.0  # an answer takes milliseconds, where the machine has time
+STACKS = 0.5  # s: until a node has written what its threads do
 END_TIMEOUT = 60.0  # an end takes half a second, where somebody else does not use the processor
 
 CUBE = 1
@@ -256,11 +257,20 @@ def start_node(ros: Any, tmp_path_factory: Any) -> Iterator[Callable[..., World]
 
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_makereport() -> Any:
-    """A failure comes with the last words of the nodes of its file."""
+    """A failure comes with the last words of the nodes of its file, and what their threads do."""
     report = yield
     if report.failed:
+        said = {world: world.said() for world in _started}
         for world in _started:
-            report.sections.append((f'log of {world.name}', world.said()[-2000:]))
+            if isinstance(world.process, forking.Fork):
+                world.process.print_stacks()
+        time.sleep(STACKS)
+        for world, log in said.items():
+            code = world.process.poll()
+            last = log[-1500:] if code is None else log[-5000:]  # a crash lists all libraries
+            stacks = world.said()[len(log) :][:1500]
+            state = f'runs\n{stacks}' if code is None else f'has ended with {code}'
+            report.sections.append((f'log of {world.name}', f'{last}\n{world.name} {state}'))
     return report
 
 

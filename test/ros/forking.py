@@ -6,6 +6,7 @@ A hundred nodes are started by the tests. They are forked from a process that ha
 node imports, and done nothing else.
 """
 
+import faulthandler
 import multiprocessing
 import os
 import signal
@@ -45,6 +46,10 @@ class Fork:
         if self.poll() is None and self.pid is not None:
             os.kill(self.pid, number)
 
+    def print_stacks(self) -> None:
+        """Let it write to its log what its threads do."""
+        self.send_signal(signal.SIGUSR1)
+
     def kill(self) -> None:
         """End it at once."""
         self.send_signal(signal.SIGKILL)
@@ -57,6 +62,7 @@ def run_node(arguments: Sequence[str], log: Path, environment: Mapping[str, str]
     with log.open('wb') as output:
         os.dup2(output.fileno(), 1)
         os.dup2(output.fileno(), 2)
+    faulthandler.register(signal.SIGUSR1)
     sys.argv = ['bvh_node', *arguments]
     from bvh_ros.ros import node
 
