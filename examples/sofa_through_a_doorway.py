@@ -11,13 +11,12 @@ way. Hulls of the sofa or of the wall, which other libraries ask for, leave no w
 python examples/sofa_through_a_doorway.py [--picture sofa.png]
 """
 
-import argparse
 import tempfile
 import time
 from pathlib import Path
 
 import numpy as np
-from needs import require_picture
+from needs import command_line, require_picture
 from scipy.spatial import ConvexHull
 
 from bvh_ros import Mesh, Scene, Shapes, quaternions
@@ -120,7 +119,7 @@ def draw(file, path):
 
 
 def main():
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = command_line(__doc__)
     parser.add_argument('--picture', default='', help='PNG of the way, from above')
     options = parser.parse_args()
     require_picture(options.picture)
