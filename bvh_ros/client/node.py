@@ -441,7 +441,7 @@ class _BatchQuestion(Question):
         if rows != self._rows or (rows and (hits.obstacles == UNANSWERED).all()):
             raise NoRowAnsweredError(
                 f'{self._topic.name} cannot answer: its rows are at fault, or what they need is '
-                'compiled, on first use; the log and diagnostics of the node say which'
+                'being compiled on first use; the log and diagnostics of the node say which'
             )
         return hits
 
