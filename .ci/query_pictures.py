@@ -151,7 +151,7 @@ def swept_ball() -> Picture:
 def overlap() -> Picture:
     """What touches a footprint at some poses."""
     scene, yaw = world(), quaternions(yaw=[0.0, 0.5, 1.1])
-    places = [[1.2, 1.2], [3.8, 2.2], [5.4, 3.0]]
+    places = [[1.2, 1.2], [3.3, 2.4], [5.4, 3.0]]
     touches = scene.overlap_many(places, FOOTPRINT, yaw)
     names = {
         hit.name
@@ -191,7 +191,7 @@ def clearance() -> Picture:
     picture.line(here[0], there[0], BLUE)
     picture.spot(here[0], BLUE)
     picture.spot(there[0], ORANGE)
-    picture.say((here[0] + there[0]) / 2 + [0, 0.15, 0], f'{distances[0]:.2f} m', ha='center')
+    picture.say((here[0] + there[0]) / 2 + [0.15, -0.1, 0], f'{distances[0]:.2f} m', color=BLUE)
     return picture
 
 

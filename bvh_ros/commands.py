@@ -30,30 +30,30 @@ def run(module: str) -> int:
 
 
 def bvh_node() -> int:
-    """Run the node."""
+    """Run the node: obstacles from topics, answers by services."""
     return run('bvh_ros.ros.node')
 
 
 def bvh_lifecycle_node() -> int:
-    """Run the managed node."""
+    """Run the same node with a managed life cycle."""
     return run('bvh_ros.ros.lifecycle_node')
 
 
 def bvh_demo() -> int:
-    """Run the demo."""
+    """Replay a warehouse over ROS 2, and ask about it."""
     return run('bvh_ros.demo')
 
 
 def bvh_warm_up() -> int:
-    """Compile before the first start."""
+    """Compile before the first start, say for an image."""
     return run('bvh_ros.warm_up')
 
 
 def bvh_report() -> int:
-    """Measure."""
+    """Measure speed and errors, beside other libraries."""
     return run('bvh_ros.report.cli')
 
 
 def bvh_view() -> int:
-    """Show obstacles in a browser."""
+    """Show a node, a recording or a saved tree in a browser."""
     return run('bvh_ros.view.main')

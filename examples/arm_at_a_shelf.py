@@ -9,13 +9,12 @@ The shelf is made here. SCENES is a table of recorded ones instead, with columns
 shape (box or cylinder), cx, cy, cz, qx, qy, qz, qw, sx, sy, sz.
 """
 
-import argparse
 import csv
 import time
 from pathlib import Path
 
 import numpy as np
-from needs import end_with, require_picture
+from needs import command_line, end_with, require_picture
 
 from bvh_ros.scene import NO_NODE, Scene, ShapeKind, Shapes
 
@@ -92,7 +91,7 @@ def draw(file, shapes, arms, free):
 
 
 def main():
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = command_line(__doc__)
     parser.add_argument('--scenes', type=Path, help='a table of recorded scenes')
     parser.add_argument('--scene', default='robowflex_vicon_shelf_01', help='one of these')
     parser.add_argument('--picture', default='')

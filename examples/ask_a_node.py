@@ -6,10 +6,9 @@ bvh_node &
 python examples/ask_a_node.py
 """
 
-import argparse
 import time
 
-from needs import ROS, end_with
+from needs import ROS, command_line, end_with
 
 try:
     import rclpy
@@ -69,6 +68,6 @@ def main(name: str) -> None:
 
 
 if __name__ == '__main__':
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = command_line(__doc__)
     parser.add_argument('name', nargs='?', default='/bvh', help='of the node')
     main(parser.parse_args().name)

@@ -9,12 +9,13 @@ python examples/laser_scan_source.py
 from array import array
 
 import numpy as np
-from needs import ROS, end_with
+from needs import ROS, command_line, end_with
 
 try:
     import rclpy
     from rclpy.executors import ExternalShutdownException
     from rclpy.node import Node
+    from rclpy.utilities import remove_ros_args
     from sensor_msgs.msg import LaserScan, PointCloud2, PointField
 except ImportError:
     end_with(ROS)
@@ -55,6 +56,7 @@ class LaserScanSource(Node):
 
 def main() -> None:
     """Serve until Ctrl-C."""
+    command_line(__doc__).parse_args(remove_ros_args()[1:])
     print('Scans on /scan become boxes on /laser_boxes, until Ctrl-C.', flush=True)
     rclpy.init()
     node = LaserScanSource()

@@ -9,11 +9,10 @@ planners do, and cuts corners; once it checks the ways between them.
 python examples/load_through_a_door.py [--picture door.png]
 """
 
-import argparse
 import time
 
 import numpy as np
-from needs import require_picture
+from needs import command_line, require_picture
 
 from bvh_ros import Scene, Shapes, quaternions
 
@@ -114,7 +113,7 @@ def draw(axis, scene, path, hits, title):
 
 
 def main():
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = command_line(__doc__)
     parser.add_argument('--picture', default='', help='PNG of both ways')
     options = parser.parse_args()
     require_picture(options.picture)

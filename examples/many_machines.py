@@ -9,7 +9,6 @@ With `--scheduler tcp://HOST:8786` a Dask cluster that runs already; its workers
 folder.
 """
 
-import argparse
 import resource
 import tempfile
 import time
@@ -17,7 +16,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
-from needs import end_with
+from needs import command_line, end_with
 
 from bvh_ros.forest import Forest
 
@@ -28,7 +27,7 @@ except ImportError:
 
 CHUNK = 1_000_000  # boxes that are in memory at once
 
-parser = argparse.ArgumentParser(description=__doc__)
+parser = command_line(__doc__)
 parser.add_argument('--boxes', type=float, default=1e5)
 parser.add_argument('--rays', type=float, default=1e5)
 parser.add_argument('--part', type=float, default=4e6, help='boxes a part')

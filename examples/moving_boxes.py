@@ -5,16 +5,15 @@
 python examples/moving_boxes.py [--boxes 10000] [--speed 1.5]
 """
 
-import argparse
-
 import numpy as np
+from needs import command_line
 
 from bvh_ros import DynamicBVH
 
 QUESTIONS = 1000
 
 rng = np.random.default_rng(0)
-parser = argparse.ArgumentParser(description=__doc__)
+parser = command_line(__doc__)
 parser.add_argument('--boxes', type=int, default=10_000)
 parser.add_argument('--speed', type=float, default=1.5, help='m/s, standard deviation an axis')
 options = parser.parse_args()

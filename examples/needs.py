@@ -1,12 +1,20 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What the examples say, and how they end, where something that they need is missing."""
+"""How the examples read their command lines, and how they end where something is missing."""
 
+import argparse
 import sys
 from pathlib import Path
 from typing import NoReturn
 
 ROS = "ROS 2 is missing: pip install 'bvh_ros[ros]', or . /opt/ros/jazzy/setup.bash"
+
+
+def command_line(text: str | None) -> argparse.ArgumentParser:
+    """A parser that answers --help with the docstring of an example, line by line."""
+    return argparse.ArgumentParser(
+        description=text, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
 
 
 def end_with(text: str) -> NoReturn:

@@ -6,9 +6,11 @@ python examples/planner_loop.py
 """
 
 import numpy as np
+from needs import command_line
 
 from bvh_ros.scene import Numbered, Scene, Shapes
 
+command_line(__doc__).parse_args()
 rng = np.random.default_rng(3)
 COUNT, RADIUS, SPACE = 40, 0.4, 0.1  # m
 STEP, TICK = 0.05, 0.05  # m, s: the robot drives at 1 m/s

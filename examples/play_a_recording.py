@@ -5,10 +5,9 @@
 pip install 'bvh_ros[bags]' && python examples/play_a_recording.py my_bag
 """
 
-import sys
 from pathlib import Path
 
-from needs import end_with
+from needs import command_line, end_with
 
 from bvh_ros.scene import Scene, Shapes
 
@@ -53,6 +52,9 @@ def main(bag: Path) -> None:
 
 
 if __name__ == '__main__':
-    if len(sys.argv) != 2 or not Path(sys.argv[1]).exists():
+    parser = command_line(__doc__)
+    parser.add_argument('bag', nargs='?', type=Path, help='a folder, .mcap or .db3')
+    options = parser.parse_args()
+    if options.bag is None or not options.bag.exists():
         end_with('name a bag that is there: python examples/play_a_recording.py my_bag')
-    main(Path(sys.argv[1]))
+    main(options.bag)

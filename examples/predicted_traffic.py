@@ -13,12 +13,11 @@ sx, sy, sz, qx, qy, qz, qw, in frames of 0.1 s. Between two frames the true vehi
 without turning.
 """
 
-import argparse
 import itertools
 import time
 
 import numpy as np
-from needs import end_with, require_picture
+from needs import command_line, end_with, require_picture
 
 from bvh_ros import quaternions
 from bvh_ros.scene import NO_NODE, Numbered, Scene, Shapes
@@ -34,7 +33,7 @@ METHODS = 'at rest', 'last step', 'tracked'
 # The colours of a stale and of a predicted world in the pictures of `bvh_report error`, and black.
 STYLES = ('#009E73', 'o-'), ('#56B4E9', 's--'), ('#000000', '^:')
 
-parser = argparse.ArgumentParser(description=__doc__)
+parser = command_line(__doc__)
 parser.add_argument('tracks', nargs='?')
 parser.add_argument('--plot', default='')
 options = parser.parse_args()

@@ -9,14 +9,13 @@ The node, the publisher of the boxes, and this program, which asks and reads the
 processes of their own. Two messages are on the way at any time.
 """
 
-import argparse
 import time
 from array import array
 from concurrent.futures import ThreadPoolExecutor
 from multiprocessing import get_context
 
 import numpy as np
-from needs import ROS, end_with
+from needs import ROS, command_line, end_with
 
 try:
     import rclpy
@@ -98,7 +97,7 @@ def until_answered(ask):
 
 
 def main():
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = command_line(__doc__)
     parser.add_argument('--rows', type=int, default=100_000)
     parser.add_argument('--seconds', type=float, default=5.0)
     parser.add_argument('--threads', type=int, default=1)

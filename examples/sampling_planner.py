@@ -10,12 +10,11 @@ python examples/sampling_planner.py [--ticks 900] [--picture planner.png] [--nod
 With --node the planner asks a bvh_node over ROS 2, and publishes the movers as boxes.
 """
 
-import argparse
 import time
 from contextlib import contextmanager
 
 import numpy as np
-from needs import ROS, end_with, require_picture
+from needs import ROS, command_line, end_with, require_picture
 
 from bvh_ros import quaternions
 from bvh_ros.scene import Numbered, Scene, ShapeKind, Shapes
@@ -139,7 +138,7 @@ def draw(file, world, track, poses, free, goal):
 
 
 def main():
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = command_line(__doc__)
     parser.add_argument('--ticks', type=int, default=900, help='at most')
     parser.add_argument('--picture', default='')
     parser.add_argument('--node', action='store_true')

@@ -11,13 +11,12 @@ way. Hulls of the sofa or of the wall, which other libraries ask for, leave no w
 python examples/sofa_through_a_doorway.py [--picture sofa.png]
 """
 
-import argparse
 import tempfile
 import time
 from pathlib import Path
 
 import numpy as np
-from needs import require_picture
+from needs import command_line, require_picture
 from scipy.spatial import ConvexHull
 
 from bvh_ros import Mesh, Scene, Shapes, quaternions
@@ -30,6 +29,7 @@ SOFA = [-0.45, 0.2, 0.45], [-0.42, 0.0, 0.43], [0.05, 2.1]  # seat and back meet
 SEAT_AND_BACK = np.array([[[True], [False]], [[True], [True]]])
 # The grid of poses: x, y, yaw.
 XS, YS = np.linspace(-1.2, 1.2, 25), np.linspace(-0.6, 0.6, 13)
+WHOLE = 6  # sofas that the picture fills
 YAWS = np.radians(np.arange(0, 360, 15))
 SIDES = [(1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1)]
 
@@ -95,7 +95,9 @@ def search(scene, sofa):
 
 
 def draw(file, path):
-    """The way from above: the sofa at each cell, from dark to light."""
+    """The way from above: the sofa at each cell in outline, and at some of them whole, from dark
+    to light.
+    """
     from matplotlib import colormaps
     from matplotlib.figure import Figure
     from matplotlib.patches import Polygon, Rectangle
@@ -108,10 +110,15 @@ def draw(file, path):
     outline = np.array([(back, foot), (front, foot), (front, top), (inner, top), (inner, seat),
                         (back, seat)])  # fmt: skip
     places, _ = poses(path)
+    last = len(path) - 1
+    whole = {*np.linspace(0, last, WHOLE).round().astype(int).tolist()}
     for k, (place, yaw) in enumerate(zip(places, YAWS[path[:, 2]], strict=True)):
         turn = np.array(((np.cos(yaw), np.sin(yaw)), (-np.sin(yaw), np.cos(yaw))))
-        colour = colormaps['viridis'](k / (len(path) - 1))
-        axis.add_patch(Polygon(outline @ turn + place[:2], fill=False, ec=colour, lw=1.2))
+        there, colour = outline @ turn + place[:2], colormaps['viridis'](0.9 * k / last)
+        if k in whole:
+            axis.add_patch(Polygon(there, fc=(*colour[:3], 0.35), ec=colour, lw=1.8, zorder=3))
+        else:
+            axis.add_patch(Polygon(there, fill=False, ec=colour, lw=0.6, alpha=0.5))
     axis.set(
         aspect='equal', xlim=(-1.9, 1.9), ylim=(-1.3, 1.3), xlabel='x, m', ylabel='y, m',
         title=f'a sofa through a door of {DOOR:g} m, in {len(path) - 1} steps',
@@ -120,7 +127,7 @@ def draw(file, path):
 
 
 def main():
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = command_line(__doc__)
     parser.add_argument('--picture', default='', help='PNG of the way, from above')
     options = parser.parse_args()
     require_picture(options.picture)

@@ -6,9 +6,11 @@ pip install bvh_ros && python examples/tree_alone.py
 """
 
 import numpy as np
+from needs import command_line
 
 from bvh_ros import DynamicBVH
 
+command_line(__doc__).parse_args()
 print('A tree of 10,000 boxes of 1 m in a cube of 100 m: rays, moves, overlaps, nearest boxes.')
 rng = np.random.default_rng(0)
 lo = rng.uniform(0.0, 100.0, (10_000, 3))  # m

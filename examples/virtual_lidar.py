@@ -6,10 +6,12 @@ python examples/virtual_lidar.py
 """
 
 import numpy as np
+from needs import command_line
 
 from bvh_ros import Scene, Shapes
 from bvh_ros.scene import NO_NODE, Numbered
 
+command_line(__doc__).parse_args()
 rng = np.random.default_rng(0)
 PEOPLE, RANGE = 200, 50.0  # m
 

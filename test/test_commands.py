@@ -47,3 +47,16 @@ def test_every_command_tells_its_version(command):
         [sys.executable, '-c', program, '--version'], capture_output=True, text=True, check=True
     )
     assert ended.stdout == f'{command} {bvh_ros.__version__}\n'
+
+
+def test_the_package_lists_its_commands():
+    def said(*arguments):
+        command = [sys.executable, '-m', 'bvh_ros', *arguments]
+        return subprocess.run(command, capture_output=True, text=True, check=False)
+
+    first, *lines = said().stdout.splitlines()
+    assert first == f'bvh_ros {bvh_ros.__version__}' == said('--version').stdout.strip()
+    listed = [line.split(maxsplit=1) for line in lines if line.startswith('  bvh_')]
+    assert [name for name, _ in listed] == COMMANDS
+    assert all(text.endswith('.') for _, text in listed)
+    assert said('bvh_node').returncode == 2  # it runs none of them

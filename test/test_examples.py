@@ -4,6 +4,7 @@
 result; where something that it needs is missing, it ends at once with exit code 2.
 """
 
+import ast
 import os
 import signal
 import subprocess
@@ -44,6 +45,15 @@ def run(name, *arguments):
 def test_the_guide_lists_every_script():
     guide = (EXAMPLES.parent / 'docs' / 'guide.md').read_text('utf-8')
     assert [name for name in SCRIPTS if f'| `examples/{name}` |' not in guide] == []
+
+
+@pytest.mark.parametrize('name', SCRIPTS)
+def test_help_is_the_docstring(name):
+    pytest.importorskip('rclpy', reason='rclpy is not installed', exc_type=ImportError)
+    pytest.importorskip('distributed', reason='extra [cluster] is not installed')
+    pytest.importorskip('rosbags', reason='rosbags is not installed')
+    text = ast.get_docstring(ast.parse((EXAMPLES / name).read_text('utf-8')))
+    assert text in run(name, '--help')
 
 
 @pytest.mark.parametrize(

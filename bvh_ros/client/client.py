@@ -305,7 +305,8 @@ class BvhClient:
         Raises
         ------
         BvhError
-            If the node answers no row; BvhTimeoutError if it does not reply.
+            If the node answers no row, with its reason if that holds for all questions (it starts
+            and compiles, the frame is not known); BvhTimeoutError if it does not reply.
         ValueError
             If an argument has the wrong form, or the arrays do not fit together.
         """

@@ -35,8 +35,16 @@ class BvhTimeoutError(BvhError):
     """No answer came in time."""
 
 
+class NoRowAnsweredError(BvhError):
+    """The node answered no row of a batch; a cloud of answers has no room for the reason."""
+
+
 class Hit(NamedTuple):
-    """One obstacle in an answer."""
+    """One obstacle in an answer.
+
+    A reply has no field for how far along the segment it is. For a thin ray that is the distance
+    from the start to `point`; for a ball the rows of `raycast_many` have their `t`.
+    """
 
     name: str
     point: Vector  # on the obstacle, in the node's frame, m

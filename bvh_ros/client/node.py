@@ -8,6 +8,7 @@ import math
 import random
 import time
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from threading import Lock
 from typing import Any, NamedTuple
 
@@ -25,7 +26,7 @@ from rclpy.time import Time
 from sensor_msgs.msg import PointCloud2
 
 from bvh_ros.client import messages
-from bvh_ros.client.messages import Batch, BvhError, BvhTimeoutError, Hit
+from bvh_ros.client.messages import Batch, BvhError, BvhTimeoutError, Hit, NoRowAnsweredError
 from bvh_ros.client.typed import Typed
 from bvh_ros.client.waiting import Patience, Question, Waiting, left
 from bvh_ros.ros.conversions.query_clouds import (
@@ -48,7 +49,7 @@ LATEST = QoSProfile(depth=1)
 JITTER = 1_000_000  # ns, of a stamp near the clock
 TIME_JITTER = 1_000_000_000  # ns, of a stamp near the times of the rows: clients may share these
 COMPILING_LOOK = 0.2  # seconds between two looks whether the node still compiles
-COMPILING_PATIENCE = 1.0  # seconds for an answer to that: a node that compiles is busy
+REFUSAL_PATIENCE = 1.0  # seconds for an answer to that: a node that compiles is busy
 PARAMETERS_PATIENCE = 0.2  # seconds until the request for parameters is sent again
 NAMES_TYPE = 'diagnostic_msgs/msg/DiagnosticStatus'
 
@@ -117,16 +118,25 @@ class OneNode:
             time.sleep(COMPILING_LOOK)
 
     def _compiling(self, timeout: float) -> str:
-        """Ask a question that is answered once all are; return how far compiling has come."""
-        request = messages.request([0.0] * 3, [0.0] * 3, 0.0, '')
-        patience = min(max(timeout, COMPILING_LOOK), COMPILING_PATIENCE)
+        """Return how far compiling has come; '' if it is done."""
         try:
-            self.hits('raycast_all', request, patience)
+            why = self._refusal('', max(timeout, COMPILING_LOOK))
         except BvhTimeoutError:
             return 'compiling, or busy'
+        return why if why.startswith(messages.COMPILING) else ''
+
+    def _refusal(self, frame_id: str, timeout: float) -> str:
+        """Ask a question that is answered once all are; return why it is not, '' if it is.
+        BvhTimeoutError if the node does not answer in time, or not soon.
+        """
+        request = messages.request([0.0] * 3, [0.0] * 3, 0.0, frame_id)
+        try:
+            self.hits('raycast_all', request, min(timeout, REFUSAL_PATIENCE))
+        except BvhTimeoutError:
+            raise
         except BvhError as error:
             self._waiting.require_life()  # else the error is the node's answer
-            return str(error) if str(error).startswith(messages.COMPILING) else ''
+            return str(error)
         return ''
 
     def wait_until_batches_are_ready(self, timeout: float) -> None:
@@ -146,8 +156,17 @@ class OneNode:
     def answers(
         self, batch: Batch, timeout: float, frame_id: str = '', stamp: int | None = None
     ) -> Any:
-        """Return the answers to a batch."""
-        return self._waiting.result(self.batch_question(batch, frame_id, stamp), timeout)
+        """Return the answers to a batch; the error for none says why, if a plain question is
+        refused, too.
+        """
+        deadline = time.monotonic() + timeout
+        try:
+            return self._waiting.result(self.batch_question(batch, frame_id, stamp), timeout)
+        except NoRowAnsweredError as error:
+            why = ''
+            with suppress(BvhTimeoutError):
+                why = self._refusal(frame_id, left(deadline))
+            raise BvhError(why or str(error)) from None
 
     def typed_answers(self, question: Typed, timeout: float) -> Any:
         """Return the answers of a typed service; BvhTimeoutError if the node does not offer it."""
@@ -420,7 +439,10 @@ class _BatchQuestion(Question):
             raise BvhError(f'the reply cannot be read: {error}{off}') from None
         rows = len(hits.obstacles)
         if rows != self._rows or (rows and (hits.obstacles == UNANSWERED).all()):
-            raise BvhError(f'{self._topic.name} cannot answer; its log and diagnostics say why')
+            raise NoRowAnsweredError(
+                f'{self._topic.name} cannot answer: its rows are at fault, or what they need is '
+                'being compiled on first use; the log and diagnostics of the node say which'
+            )
         return hits
 
     def forget(self) -> None:

@@ -1,6 +1,6 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""The command line of the report."""
+"""Measure speed and errors, beside other libraries, and write a page of them."""
 
 import argparse
 import inspect

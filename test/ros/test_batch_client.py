@@ -71,8 +71,12 @@ def test_rows_without_an_answer(filled, client):
     assert hits.t[[0, 3]].tolist() == [2.25, 2.25]
     with pytest.raises(BvhError, match='cannot answer'):
         client.raycast_many(origins[1:2], UPWARDS[1:2])
-    with pytest.raises(BvhError, match='cannot answer'):
+    with pytest.raises(BvhError) as plain:
+        client.raycast((0, 0, 0), (1, 0, 0), frame_id='mars')
+    with pytest.raises(BvhError) as batch:
         client.raycast_many(ORIGINS, UPWARDS, frame_id='mars')
+    assert str(batch.value) == str(plain.value)  # the node's reason
+    assert 'mars' in str(plain.value)
 
 
 def test_arrays_that_do_not_fit(client):

@@ -16,6 +16,9 @@ import hashlib
 import itertools
 import os
 import secrets
+import sys
+import threading
+import time
 from collections.abc import Iterator
 from typing import Any
 
@@ -29,6 +32,7 @@ from numba.core.types import IntegerLiteral, Record
 from numba.core.types.misc import unliteral
 
 from .kernel_files import KernelCache, PartCache, PartCode
+from .workers import is_here
 
 
 def _count_from_anywhere() -> None:
@@ -85,6 +89,35 @@ def _garbage_is_seldom_looked_for() -> Iterator[None]:
         yield
     finally:
         gc.set_threshold(first, *others)
+
+
+NOTICE = 'bvh_ros: compiling for this machine, once; later starts load it'
+SILENT = 1.0  # seconds of compiling, all in all, of which nothing is said
+
+_silent_left = SILENT
+
+
+def _say() -> None:
+    print(NOTICE, file=sys.stderr, flush=True)
+
+
+@contextlib.contextmanager
+def _notice() -> Iterator[None]:
+    """While something is compiled: a first use takes seconds, and would seem to hang. Said once,
+    to people only: where standard error is a terminal, and not by a worker.
+    """
+    global _silent_left
+    if _silent_left <= 0.0 or is_here() or sys.stderr is None or not sys.stderr.isatty():
+        yield
+        return
+    timer, began = threading.Timer(_silent_left, _say), time.monotonic()
+    timer.daemon = True
+    timer.start()
+    try:
+        yield
+    finally:
+        timer.cancel()
+        _silent_left -= time.monotonic() - began
 
 
 @register_pass(mutates_CFG=True, analysis_only=False)
@@ -175,7 +208,8 @@ class Kernel(CPUDispatcher):
 
     def compile(self, sig: Any) -> Any:
         """Return the machine code for these types."""
-        with _records_named_by_fields(), _garbage_is_seldom_looked_for():
+        shown = contextlib.nullcontext() if self.is_kept(sig) else _notice()
+        with _records_named_by_fields(), _garbage_is_seldom_looked_for(), shown:
             try:
                 return super().compile(sig)
             finally:

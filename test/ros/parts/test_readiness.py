@@ -60,6 +60,8 @@ def test_what_is_ready_is_answered_and_the_rest_soon(start, tmp_path, messages):
     client = BvhClient(world.node, world.name)
     with pytest.raises(BvhError, match='compiling: '):
         client.overlap((0, 0, 0), (1, 1, 1))
+    with pytest.raises(BvhError, match=COMPILING):
+        client.raycast_many([[-5.0, 0.0, 0.0]], [[1.0, 0.0, 0.0]])
     with pytest.raises(BvhTimeoutError, match='is still compiling'):
         client.wait_until_ready(1.0)
     (tmp_path / 'go').touch()
