@@ -187,10 +187,12 @@ def triangles_in(shapes, rows):
     return _rows_themselves if has_meshes else _no_rows
 
 
+@inlined
 def _rows_themselves(shapes, rows):
     return rows
 
 
+@inlined
 def _no_rows(shapes, rows):
     return None
 

@@ -307,15 +307,7 @@ def enter_footprint(footprint, hulls, pair, radius, t_max, work):
     The feature of a thin ray is FACE and the edge of a polygon that is entered, or the shadow of a
     triangle; or ROUND.
     """
-    return _enter_any if are_any(hulls) else _enter_convex
-
-
-def _enter_any(footprint, hulls, pair, radius, t_max, work):
-    return enter_any(footprint, hulls, pair, radius, t_max, work)
-
-
-def _enter_convex(footprint, hulls, pair, radius, t_max, work):
-    return enter_convex(footprint, hulls, pair, radius, t_max, work)
+    return enter_any if are_any(hulls) else enter_convex
 
 
 # ---- where a ray hits a footprint
@@ -356,15 +348,7 @@ def edge_of_any(footprint, hulls, scale, feature, place, direction):
 @chosen_by_types
 def edge_met(footprint, hulls, scale, feature, place, direction):
     """From one end of the edge that a feature is to the other: (x, y); outside is to the right."""
-    return _edge_of_any if are_any(hulls) else _edge_of_polygon
-
-
-def _edge_of_any(footprint, hulls, scale, feature, place, direction):
-    return edge_of_any(footprint, hulls, scale, feature, place, direction)
-
-
-def _edge_of_polygon(footprint, hulls, scale, feature, place, direction):
-    return edge_of_polygon(footprint, hulls, scale, feature, place, direction)
+    return edge_of_any if are_any(hulls) else edge_of_polygon
 
 
 @lean_kernel

@@ -71,10 +71,12 @@ def radius_of(ball):
     return _zero if isinstance(ball, types.NoneType) else _number
 
 
+@inlined
 def _zero(ball):
     return 0.0
 
 
+@inlined
 def _number(ball):
     return ball
 
@@ -85,10 +87,12 @@ def only_with(ball, value):
     return _nothing if isinstance(ball, types.NoneType) else _value
 
 
+@inlined
 def _nothing(ball, value):
     return None
 
 
+@inlined
 def _value(ball, value):
     return value
 

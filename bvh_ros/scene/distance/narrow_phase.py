@@ -95,15 +95,7 @@ def closest_in_mesh(hulls, shape, point, out):
     """Fill `out` with the closest point of a shape's mesh, `point` itself inside; return the
     distance.
     """
-    return _closest_in_any if are_any(hulls) else _closest_in_convex
-
-
-def _closest_in_any(hulls, shape, point, out):
-    return closest_in_any(hulls, shape, point, out)
-
-
-def _closest_in_convex(hulls, shape, point, out):
-    return closest_in_convex(hulls, shape, point, out)
+    return closest_in_any if are_any(hulls) else closest_in_convex
 
 
 @lean_kernel
@@ -835,15 +827,7 @@ def near(one, hulls, other, other_hulls, tolerance, planar):
     """Whether two shapes (records of `columns.GEOMETRY`) are within `tolerance` of each other; and
     whether that took more digits.
     """
-    return _near_any if are_any(hulls) else _near_convex
-
-
-def _near_any(one, hulls, other, other_hulls, tolerance, planar):
-    return near_any(one, hulls, other, other_hulls, tolerance, planar)
-
-
-def _near_convex(one, hulls, other, other_hulls, tolerance, planar):
-    return near_convex(one, hulls, other, other_hulls, tolerance, planar)
+    return near_any if are_any(hulls) else near_convex
 
 
 @chosen_by_types
@@ -851,15 +835,7 @@ def gap(one, hulls, other, other_hulls, planar, points):
     """Distance of two shapes, 0 if they touch; fill in the closest points, or twice a common
     one. It is the same from either side.
     """
-    return _gap_any if are_any(hulls) else _gap_convex
-
-
-def _gap_any(one, hulls, other, other_hulls, planar, points):
-    return gap_any(one, hulls, other, other_hulls, planar, points)
-
-
-def _gap_convex(one, hulls, other, other_hulls, planar, points):
-    return gap_convex(one, hulls, other, other_hulls, planar, points)
+    return gap_any if are_any(hulls) else gap_convex
 
 
 @lean_kernel

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ...tree.access import two_sum
-from ...tree.compiler import chosen_by_types, lean_kernel, stack_array
+from ...tree.compiler import chosen_by_types, inlined, lean_kernel, stack_array
 from ..shapes.hull import are_any, form_of, hull_of, hull_of_point, surface_of
 from ..shapes.mesh import CONVEX, SOLID
 from ..shapes.shape import SPHERE
@@ -573,14 +573,14 @@ def signed_distance_in_obstacle(shape, bodies, centre, found, row):
         signed_distance_in_box(points[0, :ndim], points[1, :ndim], centre, found, row)
         return
     normal = found.normals[row]
-    depth = depth_in_obstacle(bodies.hulls, shape, centre, ndim == 2, points, normal)
+    depth = depth_in_obstacle(centre, shape, bodies.hulls, ndim == 2, points, normal)
     found.distances[row] = 0.0 - depth
     for axis in range(ndim):
         found.points[row, axis] = points[1, axis]
 
 
 @lean_kernel
-def depth_in_any(hulls, shape, centre, planar, points, normal):
+def depth_in_any(centre, shape, hulls, planar, points, normal):
     """`depth_of_point` in a shape that may have a mesh of any form: of one that is not convex, the
     distance from its surface; seen from above inf, as `NO_DEPTH` says.
     """
@@ -600,17 +600,9 @@ def depth_in_any(hulls, shape, centre, planar, points, normal):
 
 
 @chosen_by_types
-def depth_in_obstacle(hulls, shape, centre, planar, points, normal):
+def depth_in_obstacle(centre, shape, hulls, planar, points, normal):
     """How deep a point is in an obstacle that holds it."""
-    return _in_any if are_any(hulls) else _in_convex
-
-
-def _in_any(hulls, shape, centre, planar, points, normal):
-    return depth_in_any(hulls, shape, centre, planar, points, normal)
-
-
-def _in_convex(hulls, shape, centre, planar, points, normal):
-    return depth_of_point(centre, shape, hulls, planar, points, normal)
+    return depth_in_any if are_any(hulls) else depth_of_point
 
 
 # Instead of minus a depth, where a mesh that is not convex touches anything but a ball; seen from
@@ -620,9 +612,9 @@ NO_DEPTH = -np.inf
 
 
 @lean_kernel
-def ball_in_any(one, other, bodies, distance, points):
+def ball_in_any(hulls, one, other, bodies, distance, points):
     """`signed_by_surface` where there are meshes of any form."""
-    hulls, sign, ball, place = bodies.hulls, 1.0, one, stack_array(3, np.float64)
+    sign, ball, place = 1.0, one, stack_array(3, np.float64)
     mesh, side = other, 0
     if form_of(hulls, other) == CONVEX:
         hulls, ball, mesh, side = bodies.query_hulls, other, one, 1
@@ -652,14 +644,11 @@ def signed_by_surface(hulls, one, other, bodies, distance, points):
     that are so far apart. Of other pairs with such a mesh `distance` if it is above 0, else
     NO_DEPTH; inf if both are convex.
     """
-    return _by_surface if are_any(hulls) else _by_depth
+    return ball_in_any if are_any(hulls) else no_surface
 
 
-def _by_surface(hulls, one, other, bodies, distance, points):
-    return ball_in_any(one, other, bodies, distance, points)
-
-
-def _by_depth(hulls, one, other, bodies, distance, points):
+@inlined
+def no_surface(hulls, one, other, bodies, distance, points):
     return np.inf
 
 

@@ -681,19 +681,7 @@ def first_contact(hulls, bodies, body, box, motion, obstacle, drift, options, sp
     """The first t of a span, its ends included, at which a body touches an obstacle: see
     `contact_of_hulls`. `hulls` are the obstacle's.
     """
-    return _contact_of_any if are_any(hulls) else _contact_of_convex
-
-
-def _contact_of_any(hulls, bodies, body, box, motion, obstacle, drift, options, span, contact):
-    return contact_of_any(
-        hulls, bodies, body, box, motion, obstacle, drift, options, span, contact
-    )
-
-
-def _contact_of_convex(hulls, bodies, body, box, motion, obstacle, drift, options, span, contact):
-    return contact_of_convex(
-        hulls, bodies, body, box, motion, obstacle, drift, options, span, contact
-    )
+    return contact_of_any if are_any(hulls) else contact_of_convex
 
 
 # ---- Rows of a batch.
