@@ -17,7 +17,7 @@ import itertools
 import os
 import secrets
 from collections.abc import Iterator
-from typing import Any
+from typing import Any, ClassVar
 
 from numba.core.bytecode import FunctionIdentity
 from numba.core.compiler import Compiler, DefaultPassBuilder
@@ -206,11 +206,12 @@ def choose_kernels(called: Any, choose: Any) -> None:
     """
 
     class Chosen(AbstractTemplate):
-        key, entries = called, {}  # type: ignore[var-annotated]
+        key = called
+        entries: ClassVar[dict[Any, Any]] = {}
 
         def generic(self, args: Any, kws: Any) -> Any:
             kernel = Dispatcher(choose(*args, **kws))
-            signature = kernel.get_call_type(self.context, args, kws)
+            signature: Any = kernel.get_call_type(self.context, args, kws)
             self.entries[signature.args] = kernel.get_overload(signature)
             return signature
 
