@@ -7,8 +7,7 @@ import pytest
 from bvh_ros.scene.cast.query import no_hit
 from bvh_ros.scene.cast.shapes import radius_of
 from bvh_ros.tree import checks
-from bvh_ros.tree.compiler import inside
-from bvh_ros.tree.compiler.compiling import entry_point, inlined, kernel, lean_kernel
+from bvh_ros.tree.compiler import entry_point, inlined, inside, kernel, lean_kernel
 
 
 def test_what_a_kernel_returns_is_made_without_python():
