@@ -95,9 +95,9 @@ def wavy_ring(around: int, across: int) -> tuple[Floats, NDArray[np.int32]]:
     wide = 1.0 + thick * np.cos(v)
     parts = wide * np.cos(u), wide * np.sin(u), thick * np.sin(v)
     row = np.arange(around * across).reshape(around, across)
-    beside, above = np.roll(row, -1, axis=0), np.roll(row, -1, axis=1)
-    corner = np.roll(beside, -1, axis=1)
-    faces = np.stack([row, beside, corner, row, corner, above], axis=2)
+    right, above = np.roll(row, -1, axis=0), np.roll(row, -1, axis=1)
+    corner = np.roll(right, -1, axis=1)
+    faces = np.stack([row, right, corner, row, corner, above], axis=2)
     return np.stack(parts, axis=2).reshape(-1, 3), faces.reshape(-1, 3).astype(np.int32)
 
 

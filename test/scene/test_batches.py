@@ -294,5 +294,5 @@ def test_no_kernel_answers_what_is_not_finite(planar, turned, radius):
             with pytest.raises(ValueError, match='directions must be finite: row 3'):
                 scene.raycast_many(good, rows, 0.0, radius=radius)
     if radius:
-        with pytest.raises(ValueError, match='end the way of a ball: row 3 has none'):
+        with pytest.raises(ValueError, match='end the path of a ball: row 3 has no end'):
             scene.raycast_many(good, good, [1, 1, 1, np.inf, 1], radius=radius)

@@ -46,12 +46,12 @@ def test_a_snapshot_from_before_a_change_is_not_asked(turn, radius):
 
 def test_a_batch_of_balls_goes_on_with_the_tree_that_it_began_with(monkeypatch):
     scene, start, goal = row_of_boxes(), np.zeros((3, 3)), np.array([[9.0, 0.0, 0.0]] * 3)
-    start[:, 1] = goal[:, 1] = -1.25  # they pass by so closely that only exact arithmetic tells
-    expected, tell = scene.sweep_many(start, goal, 0.75), batch._answer_exactly
+    start[:, 1] = goal[:, 1] = -1.25  # they pass by so closely that only exact arithmetic decides
+    expected, answer_exactly = scene.sweep_many(start, goal, 0.75), batch._answer_exactly
     assert (expected.handles != NO_NODE).all()
 
     def moving_on(*given):
-        tell(*given)
+        answer_exactly(*given)
         put(scene, '19', 70.0 + given[-1])
 
     monkeypatch.setattr(batch, '_answer_exactly', moving_on)
@@ -63,12 +63,12 @@ def test_a_batch_of_boxes_goes_on_with_the_tree_that_it_began_with(monkeypatch):
     scene = row_of_boxes()
     asked = np.zeros((3, 3)), np.zeros(3), None, 2.5  # as far away as the tolerance
     assert scene.overlap_many(*asked, want='count').tolist() == [1, 1, 1]
-    tell = Overlaps._tell
+    answer_exactly = Overlaps._answer_exactly
 
     def moving_on(overlaps, *given):
         put(scene, '19', 70.0 + given[-1])
-        return tell(overlaps, *given)
+        return answer_exactly(overlaps, *given)
 
-    monkeypatch.setattr(Overlaps, '_tell', moving_on)
+    monkeypatch.setattr(Overlaps, '_answer_exactly', moving_on)
     with pytest.raises(RuntimeError, match='changed'):
         scene.overlap_many(*asked, want='count')

@@ -200,7 +200,7 @@ def test_what_does_not_grow_and_what_is_refused():
     assert scene.nearest([0, 3, 0], at=later)[0].t == 1.5
     assert scene.nearest([5, 0, 3])[0].t == 2.5  # as last told
     assert scene.nearest([5, 0, 3], at=NOW)[0].t == 2.5
-    with pytest.raises(ValueError, match='t_max must end the way where obstacles grow: row 0'):
+    with pytest.raises(ValueError, match='t_max must end the path where obstacles grow: row 0'):
         scene.raycast_many([[0, 0, 0]], [[1, 0, 0]], at=later)
 
 

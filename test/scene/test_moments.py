@@ -131,7 +131,7 @@ def test_what_is_refused():
     for beyond in (1 << 63, [10**30], -(10**30)):
         with pytest.raises(ValueError, match='at must be from -9223372036854775808 to'):
             scene.raycast_many(ends[:1], ends[1:], at=beyond)
-    with pytest.raises(ValueError, match='t_max must end the way of a ball: row 0'):
+    with pytest.raises(ValueError, match='t_max must end the path of a ball: row 0'):
         scene.raycast_many(ends[:1], ends[1:], radius=1.0, at=NOW)
     with pytest.raises(ValueError, match='1 hits, more than 0'):
         scene.raycast_all(*ends, at=NOW, most=0)

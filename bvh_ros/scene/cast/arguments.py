@@ -105,7 +105,7 @@ def refuse_infinite(rays: Rays) -> None:
     row = np.flatnonzero(~finite)[0]
     if rays.to_goals:
         raise ValueError(f'the segment of row {row} is longer than the largest double')
-    raise ValueError(f't_max must end the way of a ball: row {row} has none')
+    raise ValueError(f't_max must end the path of a ball: row {row} has no end')
 
 
 @lean_kernel
@@ -142,7 +142,7 @@ def code_for(
     kernel: Any, shapes: tuple[Any, Any], given: tuple[Any, ...], variant: object = None
 ) -> Any:
     """The machine code of a kernel that takes a world, or `Columns.shapes`, and always the same
-    types besides, but for what `variant` tells apart: numba would look at every array of it.
+    types besides, but for those that `variant` distinguishes: numba would look at every array.
     """
     solid, flat = shapes
     some = solid or flat
@@ -187,10 +187,12 @@ def triangles_in(shapes, rows):
     return _rows_themselves if has_meshes else _no_rows
 
 
+@inlined
 def _rows_themselves(shapes, rows):
     return rows
 
 
+@inlined
 def _no_rows(shapes, rows):
     return None
 
@@ -204,10 +206,10 @@ def triangle_of(triangles, row):
 
 
 @lean_kernel
-def note_none(met):
-    """Write that no triangle is met."""
-    if met is not None:
-        met[0], met[1], met[2] = -1.0, np.nan, np.nan
+def clear_triangle(triangle):
+    """Write that no triangle is hit."""
+    if triangle is not None:
+        triangle[0], triangle[1], triangle[2] = -1.0, np.nan, np.nan
 
 
 def too_long(start: Floats, goal: Floats) -> ValueError:

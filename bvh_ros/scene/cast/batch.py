@@ -3,7 +3,7 @@
 """The first hits of n rays, or balls, among true shapes: one kernel for all rows, or one.
 
 Rows go through the wide snapshot of batches where there is one, else through the tree. The kernel
-leaves to `exact_ball.cast_ball` a ball whose first obstacle only exact arithmetic tells.
+leaves a ball to `exact_ball.cast_ball` where only exact arithmetic decides its first obstacle.
 """
 
 import threading
@@ -64,7 +64,7 @@ from .shapes import only_with
 
 FEW = 64  # obstacles that a ball may touch before more room is made
 MANY = 64  # rays, among meshes of many triangles: they go together
-NEEDS_EXACT = -1  # only exact arithmetic tells
+NEEDS_EXACT = -1  # only exact arithmetic decides
 
 
 class Memory(threading.local):
@@ -185,8 +185,8 @@ def cast_segment(view, snapshot, shapes, node_handles, ends, ball, memory, place
     t_max[0], masks[0], radii[0] = 1.0, mask, radius
     segment, ts = (start.reshape(1, 3), goal.reshape(1, 3)), stack_array(1, np.float64)
     rays = Rays(*segment, t_max, masks, only_with(memory, radii), True, skip_inside)
-    met = triangles_in(shapes, place[2:])
-    hits = RowHits(slots, stack_array(1, np.uint32), ts, place[:1], place[1:2], met)
+    triangles = triangles_in(shapes, place[2:])
+    hits = RowHits(slots, stack_array(1, np.uint32), ts, place[:1], place[1:2], triangles)
     given = view, snapshot, shapes, node_handles, rays, (0, 1), memory, hits
     done = cast_rows(*given)[0]
     if done < 0:
@@ -295,7 +295,7 @@ def _work(
 
 
 def _answer_exactly(tree: OpenTree, columns: Columns, rays: Rays, hits: RowHits, row: int) -> None:
-    """Fill in what exact arithmetic tells of a row, which says that nothing is met."""
+    """Fill in the exact hit of a row, which says that there is none."""
     origin, direction = rays.origins[row], rays.directions[row]
     t_max, mask, radius = (
         column[row if len(column) > 1 else 0] for column in (rays.t_max, rays.masks, rays.radii)

@@ -2,9 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """One obstacle of any shape: into its own frame, where a ray enters it, what point is closest.
 
-`shape` is a record of `columns.GEOMETRY`. An axis-aligned box is met in the world's frame by its
-corners lo and hi, which are exact; every other shape in its own frame, where it lies at the
-origin.
+`shape` is a record of `columns.GEOMETRY`. The corners lo and hi of an axis-aligned box are
+exact, in the world's frame. Every other shape lies at the origin of its own frame.
 """
 
 import math
@@ -20,7 +19,7 @@ from ..shapes.hull import form_of, surface_of
 from ..shapes.mesh import CONVEX
 from ..shapes.shape import BOX, CAPSULE, CYLINDER, MESH, SPHERE, length, rotate, scale_of
 from ..shapes.surface import coordinates_in
-from .arguments import note_none
+from .arguments import clear_triangle
 from .mesh import enter_mesh
 from .shapes import (
     COORDINATES,
@@ -157,9 +156,9 @@ def axis_point(shape, scale, z):
 
 
 @lean_kernel
-def contact(shape, hulls, pair, hit, given, work, point, normal, met):
-    """Fill in the obstacle's point that is met by a hit (t, feature), the outward normal, and the
-    triangle, see `arguments.room_for_triangles`.
+def contact(shape, hulls, pair, hit, given, work, point, normal, triangle):
+    """Fill in the obstacle's point of a hit (t, feature), the outward normal, and the triangle,
+    see `arguments.room_for_triangles`.
 
     The normal of a ball is zero where its centre is in the obstacle, or no farther from it than
     rounding: there it would be noise.
@@ -189,8 +188,8 @@ def contact(shape, hulls, pair, hit, given, work, point, normal, met):
             outward[0] = outward[1] = outward[2] = 0.0
     elif feature != INSIDE:
         face_normal(shape, hulls, lo, hi, feature, scale, work)
-    if met is not None:
-        note_triangle(shape, hulls, feature, scale, closest, met)
+    if triangle is not None:
+        note_triangle(shape, hulls, feature, scale, closest, triangle)
     to_world(shape, scale, closest, outward, point, normal)
     if feature == INSIDE and length(normal) == 0.0:
         for axis in range(3):
@@ -222,17 +221,17 @@ def face_normal(shape, hulls, lo, hi, feature, scale, work):
 
 
 @lean_kernel
-def note_triangle(shape, hulls, feature, scale, closest, met):
+def note_triangle(shape, hulls, feature, scale, closest, triangle):
     """Fill in row, u and v of the triangle by which a thin ray enters a mesh, `closest` being the
-    point that it meets.
+    point of the hit.
     """
-    note_none(met)
+    clear_triangle(triangle)
     if feature >= FACE:
         surface, face, place = surface_of(hulls, shape), feature - FACE, stack_array(3, np.float64)
         for axis in range(3):
             place[axis] = closest[axis] / scale
-        met[0] = hulls.rows[hulls.spans[shape.mesh].faces[0] + face]
-        met[1], met[2] = coordinates_in(surface.vertices, surface.corners[face], place)
+        triangle[0] = hulls.rows[hulls.spans[shape.mesh].faces[0] + face]
+        triangle[1], triangle[2] = coordinates_in(surface.vertices, surface.corners[face], place)
 
 
 @lean_kernel

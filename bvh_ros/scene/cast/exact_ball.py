@@ -10,15 +10,15 @@ The closed form of `shapes.enter_rounded_box` rounds: each offset of the origin 
 once, the unit direction by less than 4 u, and what is made of them (a minimum, a square root, a
 sum of lengths) leaves origin + s * direction within 40 u L of the surface of the box grown by it
 (u = 2**-53, L the sum of the largest offsets, the radius and the length of the path, which past
-all boxes counts no more than up to them). Nor can a box be missed, or met wrongly, that is not
-within 40 u L of being so. A ball smaller by the slack of
+all boxes counts no more than up to them). Only a box within 40 u L of
+the other answer can be missed or hit wrongly. A ball smaller by the slack of
 128 u L therefore comes surely late, and one larger by it surely early:
 
     ------|-----------|------------|----->  t        before `early` the box is surely not touched,
         early         t          late               after `late` it surely was
 
 Two boxes whose brackets do not meet are in order. What the brackets leave open, exact arithmetic
-decides. Other shapes are met at their t, as computed.
+decides. Other shapes have their t as computed.
 """
 
 from collections.abc import Iterable, Sequence
@@ -157,7 +157,7 @@ def compare(one: Root, other: Root) -> int:
     lean = _sign(one.square - other.square)  # of the difference of the square roots
     if _sign(gap) != lean:
         return _sign(_sign(gap) - lean)
-    # Both differences point the same way: |gap| against |sqrt a - sqrt b|, by their squares.
+    # Both differences have the same sign: |gap| against |sqrt a - sqrt b|, by their squares.
     rest = one.square + other.square - gap**2
     return lean * (1 if rest < 0 else _sign(4 * one.square * other.square - rest**2))
 
@@ -236,7 +236,7 @@ def cast_ball(
 
 
 def _in_order(columns: Columns, found: Candidates, sweep: Sweep) -> Hits:
-    """Those that are met, in order of their exact times, then handles."""
+    """The hits, in order of their exact times, then handles."""
     slots, times, features = found
     order = np.lexsort((columns.node_handle[slots], times[AT]))
     slots, times, features = slots[order], times[:, order], features[:, order]

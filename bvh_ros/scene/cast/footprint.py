@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A thin ray, or a disc swept along it, against one footprint: `contact` in two dimensions.
 
-Everything is relative to the footprint's centre. An axis-aligned rectangle is met by its corners
+Everything is relative to the footprint's centre. An axis-aligned rectangle has its corners
 in the tree, which are exact.
 """
 
@@ -207,9 +207,9 @@ def enter_thin_shadows(surface, footprint, pair, t_max):
     ray[ORIGIN, 2] = ray[DIRECTION, 2] = 0.0
     for axis in range(2):
         place = given[ORIGIN, axis] - footprint.centre[axis]
-        way = math.ldexp(given[DIRECTION, axis], exponent)
+        direction = math.ldexp(given[DIRECTION, axis], exponent)
         ray[ORIGIN, axis] = place if abs(place) >= MINUTE * surface.radius else 0.0
-        ray[DIRECTION, axis] = way if abs(way) >= MINUTE else 0.0
+        ray[DIRECTION, axis] = direction if abs(direction) >= MINUTE else 0.0
     reach = math.ldexp(t_max, -exponent)
     if largest == 0.0:
         ray[DIRECTION, 0], reach = 1.0, 0.0
@@ -307,18 +307,10 @@ def enter_footprint(footprint, hulls, pair, radius, t_max, work):
     The feature of a thin ray is FACE and the edge of a polygon that is entered, or the shadow of a
     triangle; or ROUND.
     """
-    return _enter_any if are_any(hulls) else _enter_convex
+    return enter_any if are_any(hulls) else enter_convex
 
 
-def _enter_any(footprint, hulls, pair, radius, t_max, work):
-    return enter_any(footprint, hulls, pair, radius, t_max, work)
-
-
-def _enter_convex(footprint, hulls, pair, radius, t_max, work):
-    return enter_convex(footprint, hulls, pair, radius, t_max, work)
-
-
-# ---- where a footprint is met
+# ---- where a ray hits a footprint
 
 
 @lean_kernel
@@ -356,15 +348,7 @@ def edge_of_any(footprint, hulls, scale, feature, place, direction):
 @chosen_by_types
 def edge_met(footprint, hulls, scale, feature, place, direction):
     """From one end of the edge that a feature is to the other: (x, y); outside is to the right."""
-    return _edge_of_any if are_any(hulls) else _edge_of_polygon
-
-
-def _edge_of_any(footprint, hulls, scale, feature, place, direction):
-    return edge_of_any(footprint, hulls, scale, feature, place, direction)
-
-
-def _edge_of_polygon(footprint, hulls, scale, feature, place, direction):
-    return edge_of_polygon(footprint, hulls, scale, feature, place, direction)
+    return edge_of_any if are_any(hulls) else edge_of_polygon
 
 
 @lean_kernel
@@ -381,7 +365,7 @@ def look_out(footprint, hulls, scale, point, normal, closest):
 
 @lean_kernel
 def touch_footprint(footprint, hulls, pair, hit, radius, work, point, normal):
-    """Fill in the footprint's point that is met by a hit (t, feature), and the outward normal.
+    """Fill in the footprint's point of a hit (t, feature), and the outward normal.
 
     The normal of a disc is zero where its centre is in the footprint, or no farther from it than
     rounding: there it would be noise.

@@ -333,12 +333,4 @@ def enter_any(hulls, shape, frame, pair, radius, t_max, work):
 @chosen_by_types
 def enter_mesh(hulls, shape, frame, pair, radius, t_max, work):
     """(t, feature) at which a ray, or a ball swept along it, enters a shape's mesh."""
-    return _of_any if are_any(hulls) else _of_convex
-
-
-def _of_any(hulls, shape, frame, pair, radius, t_max, work):
-    return enter_any(hulls, shape, frame, pair, radius, t_max, work)
-
-
-def _of_convex(hulls, shape, frame, pair, radius, t_max, work):
-    return enter_convex(hulls, shape, frame, pair, radius, t_max, work)
+    return enter_any if are_any(hulls) else enter_convex

@@ -123,7 +123,7 @@ def room_for(depth: int) -> Room:
 
 
 class Found(NamedTuple):
-    """What is known of a ray."""
+    """The state of a ray."""
 
     box: Any
     other: Any
@@ -180,7 +180,7 @@ class Lines(NamedTuple):
 
 @inlined
 def fetch_face(surface, rays, face, listed, scratch, tally):
-    """Ask for the memory of a triangle."""
+    """Prefetch the memory of a triangle."""
     prefetch(surface.corners, 3 * face, 1)
     return False
 

@@ -6,8 +6,8 @@ In the frame of an obstacle that moves on a straight line, a ray is another ray.
 transformed into the frame of each obstacle that it may meet, and decided there as at rest. Thin
 rays among axis-aligned boxes are decided by the tree, in the numbers as given: exactly.
 
-An obstacle that grows, see `store.places`, is met by a ball that is larger by its growth at the
-end of the path: too early rather than too late.
+Growth of an obstacle, see `store.places`, is added to the radius of the ball: that at the end of
+the path, so a hit is too early rather than too late.
 
 `walk_moving` leads through the nodes of the tree, as `query.walk_tree` at rest; `motion_batch` has
 the batches. The visitors are those of `query`, too: the first hit, and every hit.
@@ -65,8 +65,8 @@ from .arguments import (
     BoxHit,
     CastWorld,
     Sweep,
+    clear_triangle,
     code_for,
-    note_none,
     room_for_triangles,
     scratch_in,
     too_long,
@@ -245,7 +245,7 @@ def ray_in_stopped_frame(rays, i, box, left, ray):
 
 @inlined
 def fetch(tree, moving, geometry, footprints, slot):
-    """Ask for the memory that `meet_obstacle` reads of most obstacles."""
+    """Prefetch the memory that `meet_obstacle` reads of most obstacles."""
     prefetch(moving.velocities, slot, 1)
     prefetch(tree.handles, slot, 1)
     if geometry is not None:
@@ -339,25 +339,25 @@ def write_first_hit(cast, i, course, first, hits):
     hits.handles[i] = cast.node_handles[slot] if is_hit else NO_NODE
     for axis in range(3):
         point[axis], normal[axis] = 0.0 if is_hit else np.nan, 0.0
-    met = triangle_of(hits.triangles, i)
+    triangle = triangle_of(hits.triangles, i)
     if is_hit and not by_box:
-        _touch_moving(cast, i, other, stopped, point, normal, met)
+        _touch_moving(cast, i, other, stopped, point, normal, triangle)
         return
-    note_none(met)
+    clear_triangle(triangle)
     if by_box:
         _locate_box(cast, i, course, box, point, normal)
 
 
 @inlined
 def _locate_box(cast, i, course, hit, point, normal):
-    """Fill in where a box is met that the tree decided."""
+    """Fill in where a ray hits a box, as the tree decided."""
     ndim, box = cast.rays.origins.shape[1], box_of(cast.tree, cast.moving, hit.slot)
     locate(box, course, hit.t, hit.feature, point[:ndim], normal[:ndim])
 
 
 @lean_kernel
-def _touch_moving(cast, i, hit, stopped, point, normal, met):
-    """Fill in where an obstacle is met that was decided in its own frame; met as of `touch`."""
+def _touch_moving(cast, i, hit, stopped, point, normal, triangle):
+    """Fill in where a ray hits an obstacle, in its own frame; triangle as of `touch`."""
     rays, moving, scratch = cast.rays, cast.moving, cast.scratch
     box, at = box_of(cast.tree, moving, hit.slot), of_row(rays.at, i)
     grown, center = growth_of(rays, i, box), rays.origins[i]
@@ -367,7 +367,7 @@ def _touch_moving(cast, i, hit, stopped, point, normal, met):
         ray_in_stopped_frame(rays, i, box, moving.left, scratch.ray)
     else:
         ray_in_obstacle_frame(rays, i, box, moving.nanoseconds, scratch.ray)
-    touch(cast.world, scratch, of_row(rays.radii, i) + grown, hit, point, normal, met)
+    touch(cast.world, scratch, of_row(rays.radii, i) + grown, hit, point, normal, triangle)
     for axis in range(box[2].shape[0]):
         point[axis] += box[2][axis] * since
     for axis in range(3):
@@ -441,8 +441,8 @@ def first_segment(tree, moving, shapes, ends, ball, when, node_handles, place):
         *(numbers[1], numbers[3], numbers[4], numbers[2], rate, skip_inside),
     )
     slots, ts = stack_array(1, np.int64), stack_array(1, np.float64)
-    met = triangles_in(shapes, place[2:])
-    hits = RowHits(slots, stack_array(1, np.uint32), ts, place[:1], place[1:2], met)
+    triangles = triangles_in(shapes, place[2:])
+    hits = RowHits(slots, stack_array(1, np.uint32), ts, place[:1], place[1:2], triangles)
     why = first_rows(shapes, tree, moving, rays, node_handles, hits)
     return (slots[0] if why == 0 else why), ts[0]
 
@@ -476,12 +476,12 @@ def describe_every_hit(shapes, tree, moving, rays, boxes, hits, points, normals,
     sort_hits_at(tree, moving, course, Found(hits.slots, hits.ts, hits.features), boxes)
     for j in range(hits.slots.shape[0]):
         hit = Hit(hits.slots[j], hits.ts[j], hits.features[j])
-        met, stopped = triangle_of(triangles, j), hits.kinds[j] == STOPPED
+        triangle, stopped = triangle_of(triangles, j), hits.kinds[j] == STOPPED
         if j < boxes:
-            note_none(met)
+            clear_triangle(triangle)
             _locate_box(cast, 0, course, hit, points[j], normals[j])
         else:
-            _touch_moving(cast, 0, hit, stopped, points[j], normals[j], met)
+            _touch_moving(cast, 0, hit, stopped, points[j], normals[j], triangle)
 
 
 # ---- one ray
@@ -563,7 +563,7 @@ def cast_every(
     if ndim == 2:
         points[:, 2] = sweep.origin[2]
     order = np.lexsort((columns.node_handle[hits.slots], hits.ts))
-    # Boxes are in exact order, which their t, as doubles, may not tell: they keep it.
+    # Boxes are in exact order, which their t as doubles may not have: they keep it.
     order[order < boxes] = np.arange(boxes)
     found: list[Any] = [hits.slots[order].tolist(), hits.ts[order].tolist()]
     rows = points, normals, *(() if triangles is None else (triangles,))

@@ -167,7 +167,7 @@ class StreamRays(NamedTuple):
 
 
 class StreamScratch(NamedTuple):
-    """What `traverse` works in, and what each ray has met."""
+    """What `traverse` works in, and what each ray has hit."""
 
     ray: Any
     records: Any
@@ -289,7 +289,7 @@ def first_hits_at(group, place):
 
 @inlined
 def defer_leaf(tree, stream, slot, listed, group, tally):
-    """Defer the rays that may meet a leaf, listed = (rows, places); ask for its memory."""
+    """Defer the rays that may meet a leaf, listed = (rows, places); prefetch its memory."""
     rows, places = listed
     prefetch(stream.sweep.leaves.records, slot, 1)
     for place in places:
@@ -428,7 +428,7 @@ def first_hits(store: Obstacles, rays: Rays, times: Times, threads: int) -> Cast
         refuse_infinite(rays)  # of others a kernel looks
     if store.uncertainty and np.isinf(rays.t_max).any():
         row = np.flatnonzero(np.isinf(rays.t_max))[0]
-        raise ValueError(f't_max must end the way where obstacles grow: row {row} has none')
+        raise ValueError(f't_max must end the path where obstacles grow: row {row} has no end')
     sweep = None
     if times.bounded and count:
         sweep = motion.ready_sweep(view.tree, count, times.first, times.last)

@@ -50,7 +50,7 @@ from .arguments import (
     Hits,
     Sweep,
     call,
-    note_none,
+    clear_triangle,
     room_for_triangles,
     scratch_in,
     triangle_of,
@@ -163,21 +163,21 @@ def enter_any(geometry, footprints, slot, pair, radius, t_max, work):
 
 
 @lean_kernel
-def touch(world, scratch, radius, hit, point, normal, met):
+def touch(world, scratch, radius, hit, point, normal, triangle):
     """Fill in where a ray or ball meets an obstacle, the outward normal there, and the triangle, a
     row of `room_for_triangles`, or None.
     """
     lo, hi = leaf_box(world.nodes, world.tight, 2 * hit.slot)
     pair, out = RayAndBox(scratch.ray, lo, hi), (point, normal)
-    at = hit.t, hit.feature
-    touch_any(world.geometry, world.footprints, hit.slot, pair, at, radius, scratch.work, out, met)
+    at, work = (hit.t, hit.feature), scratch.work
+    touch_any(world.geometry, world.footprints, hit.slot, pair, at, radius, work, out, triangle)
 
 
 @lean_kernel
-def touch_any(geometry, footprints, slot, pair, hit, radius, work, out, met):
+def touch_any(geometry, footprints, slot, pair, hit, radius, work, out, triangle):
     point, normal = out
     if geometry is not None:
-        contact(geometry[0][slot], geometry[1], pair, hit, radius, work, point, normal, met)
+        contact(geometry[0][slot], geometry[1], pair, hit, radius, work, point, normal, triangle)
     if footprints is not None:
         ball = radius_of(radius)
         touch_footprint(footprints[0][slot], footprints[1], pair, hit, ball, work, point, normal)
@@ -196,8 +196,8 @@ def ball_path(world, ray, radius, unit):
 @lean_kernel
 def enter_thrice(world, slot, ray, path, query, work, found):
     """When a ball that is larger by its slack, the ball itself and a smaller one meet an obstacle
-    up to t = 1, to the rows EARLY, AT and LATE of `found`, (ts, features). Only axis-aligned boxes
-    tell them apart.
+    up to t = 1, to the rows EARLY, AT and LATE of `found`, (ts, features). They differ only for
+    axis-aligned boxes.
     """
     ts, features = found
     is_plain = is_plain_box(world.geometry, world.footprints, slot)
@@ -291,7 +291,7 @@ def write(hit, hits, place):
 
 
 class Reached(NamedTuple):
-    """What is known of the candidates of a ball."""
+    """The candidates of a ball so far."""
 
     count: Any
     soonest: Any
@@ -308,11 +308,11 @@ def visit_candidate(caster, room, slot, reached):
     if path.pace < 0.0:  # many balls meet no leaf
         path = ball_path(world, scratch.ray, query.radius, path.unit)
     ts, features = stack_array(3, np.float64), stack_array(3, np.int64)
-    known = False
+    is_repeated = False
     if query.patched:
         for j in range(min(count, room.slots.shape[0])):
-            known |= room.slots[j] == slot
-    if not known:
+            is_repeated |= room.slots[j] == slot
+    if not is_repeated:
         enter_thrice(world, slot, scratch.ray, path, query, scratch.work, (ts, features))
         if ts[EARLY] <= latest:
             if count < room.slots.shape[0]:
@@ -543,11 +543,11 @@ def write_row(world, scratch, node_handles, radius, hit, length, row, hits):
     hits.handles[row], hits.t[row] = NO_NODE, np.inf
     for axis in range(3):
         hits.points[row, axis], hits.normals[row, axis] = 0.0 if is_hit else np.nan, 0.0
-    met = triangle_of(hits.triangles, row)
+    triangle = triangle_of(hits.triangles, row)
     if not is_hit:
-        note_none(met)
+        clear_triangle(triangle)
     else:
-        touch(world, scratch, radius, hit, hits.points[row], hits.normals[row], met)
+        touch(world, scratch, radius, hit, hits.points[row], hits.normals[row], triangle)
         hits.handles[row], hits.t[row] = node_handles[hit.slot], hit.t * length
 
 
@@ -573,8 +573,8 @@ def touch_rows(world, segment, radius, hits, points, normals, triangles):
     set_ray(scratch.ray, *segment)
     for j in range(hits.slots.shape[0]):
         hit = Hit(hits.slots[j], hits.ts[j], hits.features[j])
-        met = triangle_of(triangles, j)
-        touch(world, scratch, radius, hit, points[j], normals[j], met)
+        triangle = triangle_of(triangles, j)
+        touch(world, scratch, radius, hit, points[j], normals[j], triangle)
 
 
 def cast_every(

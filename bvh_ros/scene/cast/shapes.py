@@ -8,7 +8,7 @@ neither overflow nor vanish. In everyday scenes the scale is 1.
 **Closed forms.** A ball of radius r meets a shape where its centre meets the shape grown by r with
 rounded edges (Ericson, Real-Time Collision Detection, 2005, section 5.5.7). Each `enter_...` gives
 (s, feature): the distance at which `origin + s * direction`, a unit vector, enters the shape, inf
-if it does not at 0 <= s <= reach, and the part of the surface that is met: INSIDE where the ray
+if it does not at 0 <= s <= reach, and the part of the surface there: INSIDE where the ray
 starts in the (grown) shape, the axis of a flat face, ROUND elsewhere.
 
 The error is one of place: origin + s * direction, computed exactly, is within 8 u L of the
@@ -71,10 +71,12 @@ def radius_of(ball):
     return _zero if isinstance(ball, types.NoneType) else _number
 
 
+@inlined
 def _zero(ball):
     return 0.0
 
 
+@inlined
 def _number(ball):
     return ball
 
@@ -85,10 +87,12 @@ def only_with(ball, value):
     return _nothing if isinstance(ball, types.NoneType) else _value
 
 
+@inlined
 def _nothing(ball, value):
     return None
 
 
+@inlined
 def _value(ball, value):
     return value
 

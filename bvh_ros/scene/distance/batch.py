@@ -58,14 +58,13 @@ from .query import (
     with_records,
 )
 
-# ---- Batches of overlap queries and of questions for what is nearest: row by row the kernels
-# that answer one.
+# ---- Batches of overlap queries and of queries for the nearest: row by row the kernels of one.
 
 # Whether distances have a sign: None, not False, so that kernels without it do not have its code.
 Signed: TypeAlias = Literal[True] | None
 
 ANY, COUNT, FIRST, ALL, HITS = range(5)  # what is wanted of each row
-OPEN = -1  # only exact arithmetic tells
+OPEN = -1  # only exact arithmetic decides
 FEW = 64  # handles that there is room for at first
 WANTED = {'any': ANY, 'count': COUNT, 'first': FIRST, 'all': ALL, 'hits': HITS}
 
@@ -78,7 +77,7 @@ class Answers(NamedTuple):
     numbers: Any
     """(n,) how many there are; where ALL are wanted (n + 1,), offsets of theirs."""
     handles: Any
-    """(n,) of the first, NO_NODE without any; where ALL are wanted those of all that are met, row
+    """(n,) of the first, NO_NODE without any; where ALL are wanted those of all hits, row
     after row."""
     distances: Any
     """(n,) of the first, inf without any."""
@@ -86,8 +85,8 @@ class Answers(NamedTuple):
     """The same, (n, 3), NaN without any."""
 
 
-NOBODY = np.empty(0, np.uint32)
-NOT_WANTED = np.empty(0, np.bool_), np.empty(0, np.int64), NOBODY, np.empty(0), np.empty((0, 3))
+NO_HANDLES = np.empty(0, np.uint32)
+NOT_WANTED = np.empty(0, BOOL), np.empty(0, INT64), NO_HANDLES, np.empty(0), np.empty((0, 3))
 
 
 def room_for(count: int, wanted: int) -> tuple[Any, ...]:
@@ -118,7 +117,7 @@ class Points(NamedTuple):
     masks: Any
     """One for all, or (n,)."""
     order: Any
-    """In which they are asked, (n,); without any as they stand."""
+    """In which they are answered, (n,); empty: as they stand."""
 
 
 class Near(NamedTuple):
@@ -134,8 +133,8 @@ def overlap_rows(view, bodies, rows, wanted, place, node_handles, memory, answer
     """Answer the rows [start, stop) of `QueryRows` by `Answers`, both as plain tuples; place =
     (start, stop, handles before these rows). Returns (rows done, room wanted in `memory`, handles
     written, pairs compared, those of them that took more digits, version of the tree): fewer rows
-    than there are where there is no room for the next one, or it is OPEN, which is said instead of
-    the room; REFUSED if the tree is changed, FAULTY or NARROW if a row is.
+    than there are where there is no room for the next one, or it is OPEN, which stands for the
+    room; REFUSED if the tree is changed, FAULTY or NARROW if a row is.
     """
     tree, (row, stop, before), enough = view.tree, place, wanted == ANY
     found, (records, _, tolerances, masks, _) = found_in(memory), rows
@@ -164,14 +163,14 @@ def overlap_rows(view, bodies, rows, wanted, place, node_handles, memory, answer
         if doubtful > 0 and (not enough or count == doubtful):
             needed = OPEN
             break
-        written = tell_row(node_handles, found, count, wanted, answers, row, before, written)
+        written = write_row(node_handles, found, count, wanted, answers, row, before, written)
         row += 1
     end_query(tree.state)
     return row, needed, written, compared, more, version
 
 
 @inlined
-def tell_row(node_handles, found, count, wanted, answers, row, before, written):
+def write_row(node_handles, found, count, wanted, answers, row, before, written):
     """Write what is wanted of a row; return how many handles are written, with those of rows
     before it, behind `before` others.
     """
@@ -184,15 +183,15 @@ def tell_row(node_handles, found, count, wanted, answers, row, before, written):
         written += count
         numbers[row + 1] = before + written
     if wanted in (FIRST, HITS):
-        tell_first(node_handles, found, count, wanted, answers, row)
+        write_first(node_handles, found, count, wanted, answers, row)
     if wanted in (COUNT, HITS):
         numbers[row] = count
     return written
 
 
 @inlined
-def tell_first(node_handles, found, count, wanted, answers, row):
-    """Write what is known of the first."""
+def write_first(node_handles, found, count, wanted, answers, row):
+    """Write the first."""
     first, (_, _, handles, distances, points) = found.order[0], answers
     handles[row] = node_handles[found.slots[first]] if count > 0 else NO_NODE
     if wanted == HITS:
@@ -250,13 +249,13 @@ def keep(found, count, options, node_handles, near, row):
     filled = 0
     for i in range(count):
         place = found.order[i]
-        handle, known = node_handles[found.slots[place]], False
+        handle, repeated = node_handles[found.slots[place]], False
         if filled == k or not found.distances[place] <= reach:
             break
         if twice:
             for j in range(filled):
-                known = known or near.handles[row, j] == handle
-        if known:
+                repeated = repeated or near.handles[row, j] == handle
+        if repeated:
             continue
         near.handles[row, filled], near.distances[row, filled] = handle, found.distances[place]
         for axis in range(3):
@@ -316,7 +315,7 @@ class Part(NamedTuple):
     start: int
     stop: int
     handles: list[NDArray[np.uint32]]
-    """Of all that are met, in parts."""
+    """Of all hits, in parts."""
     compared: int
     more: int
 
@@ -389,7 +388,7 @@ class Overlaps:
         results: Answers,
     ) -> list[NDArray[np.uint32]] | None:
         """Answer the rows from `first` on, options = (wanted, threads, whether some need a narrow
-        phase, first); return what handles are met in parts, None if a row that is `given` is not
+        phase, first); return the handles of hits in parts, None if a row that is `given` is not
         legal.
         """
         wanted, threads, narrow, first = options
@@ -419,7 +418,7 @@ class Overlaps:
         start: int,
         stop: int,
     ) -> Part:
-        """Answer the rows [start, stop), if no reason is in the way."""
+        """Answer the rows [start, stop), if no reason prevents it."""
         parts: list[NDArray[np.uint32]] = []
         begin, total, compared, more, room, legal = start, 0, 0, 0, FEW, None
         scratch = self.spare.take()
@@ -437,7 +436,7 @@ class Overlaps:
                 parts.append(answers.handles[:written])
             if start < stop and needed == OPEN:
                 legal = legal or with_records(QueryRows(*rows))
-                parts.append(self._tell(legal, bodies, wanted, results, start))
+                parts.append(self._answer_exactly(legal, bodies, wanted, results, start))
                 total += len(parts[-1])
                 start += 1
                 if wanted == ALL:
@@ -449,7 +448,7 @@ class Overlaps:
         self.spare.give(scratch)
         return Part(0, begin, stop, parts, compared, more)
 
-    def _tell(
+    def _answer_exactly(
         self, rows: QueryRows, bodies: Any, wanted: int, results: Answers, row: int
     ) -> NDArray[np.uint32]:
         """Answer a row that is open, by `find`; return the handles."""
@@ -516,7 +515,7 @@ def as_wanted(
     returns of which ALL are wanted.
     """
     if wanted == ALL:
-        touching = parts[0] if len(parts) == 1 else np.concatenate((NOBODY, *parts))
+        touching = parts[0] if len(parts) == 1 else np.concatenate((NO_HANDLES, *parts))
         return _once(results[1], touching) if shadows else (results[1], touching)
     if every is not None:
         results[1][:] = np.diff(every[0])
@@ -567,8 +566,8 @@ def corners(records: NDArray[np.void]) -> tuple[Floats, Floats]:
 
 # ---- Which obstacles are nearest to a point, by their true shapes.
 #
-# No shape is nearer than its box. So the tree is asked for the nearest boxes, ever more of them,
-# until the next box is farther than the k-th nearest shape among those it has named.
+# No shape is nearer than its box. So the tree gives the nearest boxes, ever more of them, until
+# the next box is farther than the k-th nearest shape among them.
 
 MORE = 4
 # From so many points on their order counts: as they stand 10,000 points take 1.2 times as long.
@@ -595,7 +594,7 @@ class Nearness:
         everybody = len(self._tree)
         reach = max(max_distance * ROUNDED, max_distance)
         in_order = signed is None and not (self._columns.shaped or self._columns.shadows)
-        # Some more, so that most know at once that no other is nearer.
+        # Some more: mostly they show at once that no other is nearer.
         boxes = k if in_order else k + MORE
         while True:
             boxes = min(boxes, everybody + 1)
@@ -633,7 +632,7 @@ class Nearness:
         return count
 
     def order_of(self, points: Floats) -> NDArray[np.int64]:
-        """The order in which many points are asked: neighbours load the same nodes."""
+        """An order of many points in which neighbours load the same nodes."""
         return order_of(self._tree.view().tree, along_axes(points, self._tree.ndim))
 
     def find_rows(self, points: Points, k: int, signed: Signed, threads: int) -> Near | None:
@@ -705,8 +704,8 @@ class Nearness:
 
 # ---- How far shapes are from the nearest obstacle, by their true shapes.
 #
-# No two shapes are nearer than their boxes. So the tree is asked for the nearest boxes, ever
-# more of them, until the next box is farther than the nearest shape among those it has named.
+# No two shapes are nearer than their boxes. So the tree gives the nearest boxes, ever more of
+# them, until the next box is farther than the nearest shape among them.
 
 ROUNDED_GAP = 1.0 + 2.0**-40  # no computed distance is off by as much
 MORE_BOXES = 4
@@ -717,7 +716,7 @@ class Neighbours(NamedTuple):
     """The obstacles nearest to n shapes."""
 
     slots: Any
-    """(n,) NONE where there is none; no array where nobody asks."""
+    """(n,) NONE where there is none; empty where the caller needs none."""
     distances: Any
     points: Any
     """(n, 3): the shape's."""
@@ -727,10 +726,10 @@ class Neighbours(NamedTuple):
     """(n,) uint32 node handles of the obstacles, NO_NODE where there is none."""
 
 
-NOT_ASKED = np.empty(0, INT64)
+NO_SLOTS = np.empty(0, INT64)
 
 
-def room_for_neighbours(count: int, slots: NDArray[np.int64] = NOT_ASKED) -> Neighbours:
+def room_for_neighbours(count: int, slots: NDArray[np.int64] = NO_SLOTS) -> Neighbours:
     """Room for so many rows."""
     distances, handles = np.empty(count), np.empty(count, UINT32)
     # As Neighbours(...), which would take one more call of a function of Python's.
@@ -739,7 +738,7 @@ def room_for_neighbours(count: int, slots: NDArray[np.int64] = NOT_ASKED) -> Nei
 
 
 class Room(NamedTuple):
-    """For the boxes that the tree names."""
+    """For the boxes that the tree gives."""
 
     slots: Any
     bounds: Any
@@ -763,7 +762,7 @@ def clearance_rows(view, bodies, rows, options, place, node_handles, room, resul
         if fault != FINE:
             row = FAULTY
             break
-        tell_nobody(results, row)
+        write_none(results, row)
         reach, wanted, looked = of_row(reaches, row), min(2, everybody + 1), 0
         while wanted <= room.slots.shape[0]:
             low, high = bounds[0], bounds[1]
@@ -810,7 +809,7 @@ def look_at(bodies, one, row, options, node_handles, slots, results):
 
 
 @inlined
-def tell_nobody(results, row):
+def write_none(results, row):
     """Write that there is none."""
     results.handles[row], results.distances[row] = NO_NODE, np.inf
     if results.slots.shape[0] > 0:
@@ -840,8 +839,8 @@ def keep_nearer(node_handles, found, points, results, row):
         )
 
 
-class Kept(threading.local):
-    """Room that a thread keeps: to make it takes a tenth of a call of one row."""
+class Memory(threading.local):
+    """Room of a thread: to make it takes a tenth of a call of one row."""
 
     def __init__(self) -> None:
         self.room = Room(np.empty(FEW_BOXES, INT64), np.empty(FEW_BOXES))
@@ -853,7 +852,7 @@ class Clearances:
     def __init__(self, tree: OpenTree, columns: Columns) -> None:
         self._tree = tree
         self._columns = columns
-        self._kept = Kept()
+        self._memory = Memory()
         kinds: tuple[Signed, ...] = (None, True)
         self._kernels = {signed: RowKernel(clearance_rows).call for signed in kinds}
 
@@ -863,7 +862,7 @@ class Clearances:
         hulls: Hulls | None,
         options: tuple[Floats, int, Signed],
         threads: int,
-        slots: NDArray[np.int64] = NOT_ASKED,
+        slots: NDArray[np.int64] = NO_SLOTS,
     ) -> Neighbours | None:
         """The obstacles nearest to n shapes, plain `QueryRows`, ties by handle.
 
@@ -874,7 +873,7 @@ class Clearances:
         bodies, results, begun = bodies_of(columns, hulls), room_for_neighbours(count, slots), 0
         view = self._tree.latest() if threads == 1 else self._tree.view()
         if threads == 1:  # without what others take
-            room, handles = self._kept.room, columns.node_handle
+            room, handles = self._memory.room, columns.node_handle
             every = view, bodies, rows, options, (0, count), handles, room, results
             begun, _, version = self._kernels[options[2]](every)
             if begun == count:

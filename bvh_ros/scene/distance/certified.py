@@ -156,7 +156,7 @@ def over_triangle(simplex, i, j, k, trial, point):
 @lean_kernel
 def around_origin(simplex, trial, point):
     """Weights of the corners of a tetrahedron that make the origin; false if it does not hold it,
-    or is so flat that nobody can tell.
+    or is too flat to decide.
     """
     room = stack_array((4, 3, 2), np.float64)
     one, other, normal, corner = room[0], room[1], room[2], room[3]
@@ -296,7 +296,7 @@ def middle(polygon, count):
 @lean_kernel
 def clip(polygon, count, a, b, c, clipped):
     """Fill `clipped` with the part of a polygon where a + b x + c y > 0; return its corners."""
-    kept = 0
+    corners = 0
     for i in range(count):
         x, y, u, v = polygon[i - 1, 0], polygon[i - 1, 1], polygon[i, 0], polygon[i, 1]
         if i == 0:
@@ -304,12 +304,12 @@ def clip(polygon, count, a, b, c, clipped):
         before, here = a + b * x + c * y, a + b * u + c * v
         if (before > 0.0) != (here > 0.0):
             share = before / (before - here)
-            clipped[kept, 0], clipped[kept, 1] = x + share * (u - x), y + share * (v - y)
-            kept += 1
+            clipped[corners, 0], clipped[corners, 1] = x + share * (u - x), y + share * (v - y)
+            corners += 1
         if here > 0.0:
-            clipped[kept, 0], clipped[kept, 1] = u, v
-            kept += 1
-    return kept
+            clipped[corners, 0], clipped[corners, 1] = u, v
+            corners += 1
+    return corners
 
 
 @lean_kernel
@@ -491,10 +491,10 @@ def keep_corners(simplex, count, weights, point, direction, closer):
             for i in range(count):
                 direction[FIRST + axis] += weights[i, 0] * simplex[i, 3 + axis]
             direction[SECOND + axis] = direction[FIRST + axis] - point[axis, 0]
-    kept = 0
+    corners = 0
     for i in range(count):
         if weights[i, 0] > 0.0:
             for axis in range(6):
-                simplex[kept, axis] = simplex[i, axis]
-            kept += 1
-    return kept
+                simplex[corners, axis] = simplex[i, axis]
+            corners += 1
+    return corners

@@ -170,15 +170,15 @@ def keep_closest(simplex, count, weights, trial, point, high):
     distance = math.sqrt(best)
     if distance < high:
         weigh(simplex, count, weights, point)
-    kept = 0
+    size = 0
     for corner in range(count):
         if weights[corner] > 0.0:
             for axis in range(6):
-                simplex[kept, axis] = simplex[corner, axis]
-            kept += 1
-    if kept == 3:
+                simplex[size, axis] = simplex[corner, axis]
+            size += 1
+    if size == 3:
         drop_onto_plane(simplex, point)
-    return kept, distance
+    return size, distance
 
 
 @lean_kernel
@@ -301,7 +301,7 @@ def gap_bounds(one, other, limit, point):
     weights, trial = stack_array(4, np.float64), stack_array(4, np.float64)
     for axis in range(3):
         point[axis] = one.rows[CENTRE, axis] - other.rows[CENTRE, axis]
-    if dot(point, point) == 0.0:  # any way will do: the centre of a mesh need not lie in it
+    if dot(point, point) == 0.0:  # any direction will do: the centre of a mesh need not lie in it
         point[0] = 1.0
     steps = MOST_STEPS
     if limit < np.inf and (one.is_round or other.is_round):

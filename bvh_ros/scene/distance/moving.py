@@ -24,7 +24,7 @@ from ...tree.motion.access import (
 from ..shapes.shape import FINE
 from ..store import WIDER
 from . import batch
-from .batch import ALL, ANY, keep, pad, tell_row
+from .batch import ALL, ANY, keep, pad, write_row
 from .narrow_phase import length, near
 from .penetration import signed_distance_in_obstacle
 from .query import (
@@ -42,25 +42,25 @@ from .query import (
 
 # ---- Overlaps and distances among obstacles that move, at a time a row.
 #
-# The tree says whose boxes are there at the time, as real arithmetic does. Each obstacle is then
-# written down where it stands (`place`) and looked at as one at rest.
+# The tree gives the boxes at the time, as real arithmetic has them. `pose_at` then writes each
+# obstacle where it stands, and the rest is as for obstacles at rest.
 
 ROOM = FOUND + 2  # floats of a row of `Room` and `Found`
 
 
 class QueryTimes(NamedTuple):
-    """When rows are asked about, and what becomes of obstacles."""
+    """The times of rows, and how obstacles change."""
 
     bodies: Any
-    """`Bodies`, as obstacles were told."""
+    """`Bodies`, as stored."""
     node_handles: Any
     at: Any
     """s, one for all or (n,)"""
     growth: float
-    """Those that move grow by so much all round, m/s, since they were told, or until then."""
+    """Those that move grow at this rate all round, m/s, before and after their stamps."""
     earliest: float
     latest: float
-    """When the first and the last of them were told, s."""
+    """The first and the last of their stamps, s."""
 
 
 class Candidates(NamedTuple):
@@ -158,7 +158,7 @@ def touch_rows(tree, moving, then, queries, options, memory, answers):
         touching = _touch(tree, moving, then, some, room.slots[:needed], room.spare, found)
         if wanted != ANY:
             order_found(found, touching, then.node_handles)
-        written = tell_row(
+        written = write_row(
             then.node_handles, found, touching, wanted, answers, row, before, written
         )
         row, compared = row + 1, compared + needed
@@ -172,7 +172,7 @@ def _touch(tree, moving, then, options, slots, spare, found):
     enough), and how they lie to its centre; return how many.
     """
     (solid, tolerance, at, enough), bodies, count, growth = options, then.bodies, 0, 0.0
-    # Else the tree was asked for more than touches.
+    # Else the query of the tree was larger than the shape.
     exact = not solid.shaped and tolerance == 0.0 and most_growth(then, at) == 0.0
     for slot in slots:
         touches = exact and not bodies.shapes[slot].shaped
@@ -220,38 +220,38 @@ PLACES = 4
 
 
 @inlined
-def _nearest_bounds(tree, near_by, known, row, slots, gaps):
-    """`nearest_bounds`, of a row for which as many are known without another look."""
-    if known is None:
+def _nearest_bounds(tree, near_by, found_before, row, slots, gaps):
+    """`nearest_bounds`, from what packets found of this row if they found as many."""
+    if found_before is None:
         return nearest_bounds(tree, near_by, slots, gaps)
-    if known.slots.shape[1] != slots.shape[0]:
+    if found_before.slots.shape[1] != slots.shape[0]:
         return nearest_bounds(tree, near_by, slots, gaps)
-    for i in range(known.counts[row]):
-        slots[i] = known.slots[row, i]
-    return known.counts[row], known.left_out[row]
+    for i in range(found_before.counts[row]):
+        slots[i] = found_before.slots[row, i]
+    return found_before.counts[row], found_before.left_out[row]
 
 
 @inlined
-def neighbours(tree, near_by, room, known, row):
+def neighbours(tree, near_by, room, found_before, row):
     """Slots of the boxes nearest to `near_by`, a `NearAt`: (whether there may be more, how far
-    those are at least, how many). `known`: see `near_rows`.
+    those are at least, how many). `found_before`: see `near_rows`.
     """
     wanted = near_by.k
-    places = max(wanted, PLACES) if known is None else wanted
+    places = max(wanted, PLACES) if found_before is None else wanted
     slots, gaps = room.slots, room.gaps[:places]
-    total, left_out = _nearest_bounds(tree, near_by, known, row, slots[:places], gaps)
+    total, left_out = _nearest_bounds(tree, near_by, found_before, row, slots[:places], gaps)
     more, last = total >= wanted, at_least(left_out)
     return more, last, total
 
 
 @lean_kernel
-def near_rows(tree, moving, then, points, known, options, memory, results):
+def near_rows(tree, moving, then, points, found_before, options, memory, results):
     """Fill in the rows [start, stop) of `results`.
 
     options = (start, stop, k, whether some boxes more are likely to be wanted, how many there are,
-    whether an obstacle may stand at two places, `Signed`). `known`: what packets found of all
-    rows, `Bounded`, or None. Returns
-    (rows done, room wanted) as `touch_rows`, and how many were found at last.
+    whether an obstacle may stand at two places, `Signed`). `found_before`: what packets found of
+    all rows, `Bounded`, or None. Returns (rows done, room wanted) as `touch_rows`, and how many
+    were found at last.
     """
     (room, found), (done, stop, k, some_more, everybody, twice, signed) = room_in(memory), options
     why = begin_asking(tree, moving, stop - done)
@@ -272,7 +272,7 @@ def near_rows(tree, moving, then, points, known, options, memory, results):
         wanted = min(k + 1 if some_more else k, everybody + 1)
         while wanted <= found.slots.shape[0]:
             near_by = near_at(moving, at, point, point, wanted, limit, mask)
-            others, last, total = neighbours(tree, near_by, room, known, row)
+            others, last, total = neighbours(tree, near_by, room, found_before, row)
             _lie(tree, moving, then, (point, at), signed, room, room.slots[:total], found)
             order_found(found, total, then.node_handles)
             filled = keep(found, total, (k, reach, twice), then.node_handles, results, row)
@@ -337,7 +337,7 @@ def clear_rows(tree, moving, then, queries, options, memory, results):
         while wanted <= room.gaps.shape[0]:
             near_by = near_at(moving, at, low, high, wanted, limit, mask)
             others, last, total = neighbours(tree, near_by, room, None, row)
-            batch.tell_nobody(results, row)
+            batch.write_none(results, row)
             fetch(tree, moving, then, room.slots[:total])
             for slot in room.slots[:total]:
                 pair, least = (record[0], slot, at), max(results.distances[row], 0.0)
@@ -359,7 +359,7 @@ def clear_rows(tree, moving, then, queries, options, memory, results):
 
 @inlined
 def fetch(tree, moving, then, slots):
-    """Ask for the memory of what `place` reads."""
+    """Prefetch the memory that `pose_at` reads."""
     for slot in slots:
         prefetch(then.bodies.shapes, slot, 2)
         fetch_box(tree, moving, slot)
@@ -367,8 +367,8 @@ def fetch(tree, moving, then, slots):
 
 @inlined
 def _is_farther(tree, moving, then, pair, least):
-    """Whether two aligned boxes, pair = (shape, slot, at), are farther apart than this: what
-    `place` and `box_gap` say, without a copy or points. For others False.
+    """Whether two aligned boxes, pair = (shape, slot, at), are farther apart than this: as
+    `pose_at` and `box_gap` have it, without a copy or points. For others False.
     """
     one, slot, at = pair
     other, gaps = then.bodies.shapes[slot], stack_array(3, np.float64)
@@ -409,14 +409,14 @@ def _clear(spare, pair, growths, signed, node_handles, results, row):
     points = stack_array((2, 3), np.float64)
     distance = batch.apart(one, spare.shapes[0], spare, signed, points)
     if growths[0] + growths[1] > 0.0:
-        distance = _swell_both(points, distance, growths, signed)
+        distance = _grow_both(points, distance, growths, signed)
     if spare.footprints is not None:
         points[0, 2] = points[1, 2] = one.position[2]
     batch.keep_nearer(node_handles, (slot, distance, reach), points, results, row)
 
 
 @inlined
-def _swell_both(points, distance, growths, signed):
+def _grow_both(points, distance, growths, signed):
     """The distance of two shapes after both have grown, and their points."""
     left = distance - growths[0] - growths[1]
     if signed is None and left <= 0.0:

@@ -97,16 +97,16 @@ class TimedShapeSweeper(ShapeSweeper):
         store, (at, pace) = self._store, times
         tree: Any = store.tree
         ends = movers(store)[1:] if store.uncertainty else (0.0, 0.0)
-        known = QueryTimes(given[0], store.columns.node_handle, at, store.uncertainty, *ends)
+        query_times = QueryTimes(given[0], store.columns.node_handle, at, store.uncertainty, *ends)
         form = type(given[0].hulls)
         entry = self._entries.get(form)
         if entry is None:
             moving = tree.motion.moving
-            entry = entry_point(sweep_rows_at, tree.view().tree, moving, known, pace, *given)
+            entry = entry_point(sweep_rows_at, tree.view().tree, moving, query_times, pace, *given)
             self._entries[form] = entry
 
         def call(arrays: Tree, moving: Any) -> Any:
-            return entry(arrays, moving, known, pace, *given)
+            return entry(arrays, moving, query_times, pace, *given)
 
         spans = partial(times_of, at, pace, ONE)
         done: tuple[int, int] = tree.motion.ask(tree, spans, call, moments=False)

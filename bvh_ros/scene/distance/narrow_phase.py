@@ -95,15 +95,7 @@ def closest_in_mesh(hulls, shape, point, out):
     """Fill `out` with the closest point of a shape's mesh, `point` itself inside; return the
     distance.
     """
-    return _closest_in_any if are_any(hulls) else _closest_in_convex
-
-
-def _closest_in_any(hulls, shape, point, out):
-    return closest_in_any(hulls, shape, point, out)
-
-
-def _closest_in_convex(hulls, shape, point, out):
-    return closest_in_convex(hulls, shape, point, out)
+    return closest_in_any if are_any(hulls) else closest_in_convex
 
 
 @lean_kernel
@@ -270,25 +262,25 @@ def closest_from_above(shape, footprint, hulls, centre, point, normal):
 #
 # Every shape is a `core` grown by a radius: of a sphere the core is its centre, of a capsule its
 # axis. Growing by a tolerance is the same again, so corners come out round (the Minkowski sum
-# with a ball). Two boxes are first asked for a separating plane; what that leaves open,
-# `certified` decides. Seen from above they work on the shadows of the cores, whose axes and
+# with a ball). Two boxes are first tested for a separating plane; `certified` decides
+# the rest. Seen from above they work on the shadows of the cores, whose axes and
 # centres have z = 0.
 #
-# **The solid meant** is that of the stored doubles: position, half sizes, and the quaternion
+# **The solid** is that of the stored doubles: position, half sizes, and the quaternion
 # brought to unit length. Cores are seen from the position of one of the two, so that a pair far
-# from the world's origin is as well known as one next to it. A shape and another are one pair,
-# whichever is asked about: `ordered` puts the same first.
+# from the world's origin is as well known as one next to it. A pair has one order,
+# whichever shape is the query: `ordered` gives it.
 #
-# **Touching counts, and so does what nobody can tell apart**: shapes are said to be apart only
-# where a plane keeps them apart by more than SLACK of the largest length in play (how far their
+# **Touching counts, and so does a gap too small to certify**: shapes are apart only where a
+# plane keeps them apart by more than SLACK of the largest length in play (how far their
 # centres are apart, a half size, the tolerance), and to touch only where a point of one is as
 # near to a point of the other. Axis-aligned boxes are decided exactly elsewhere, see `overlaps`.
 
 
 @lean_kernel
 def half_size(shape, axis, planar):
-    """Half of a size of a shape: how high it is matters to nobody who looks from above, unless it
-    leans. So say `footprint.footprints`, too.
+    """Half of a size of a shape. Seen from above its height counts only if it leans, as in
+    `footprint.footprints`.
     """
     upright = shape.orientation[0] == 0.0 and shape.orientation[1] == 0.0
     return 0.0 if planar and upright and axis == 2 else shape.half[axis]
@@ -578,7 +570,7 @@ class Plane(NamedTuple):
     normal: Any
     """(3,) towards the other shape."""
     place: Any
-    """(1,) where along the normal the other shape begins; -inf if that is not known."""
+    """(1,) where along the normal the other shape begins; -inf if unknown."""
     doubt: Any
     """By how much rounding may move it."""
 
@@ -800,8 +792,8 @@ def compare(one, hulls, other, other_hulls, tolerance, planar, touches, points):
         pair = Pair(one, hulls, other, other_hulls, planar, tolerance, points, none)
         visit_both(pair, touches, best)
     if best[0] > 0.0 and not planar:
-        held = holds_part(one, hulls, other, other_hulls, place)
-        if held or holds_part(other, other_hulls, one, hulls, place):
+        contained = holds_part(one, hulls, other, other_hulls, place)
+        if contained or holds_part(other, other_hulls, one, hulls, place):
             best[0] = 0.0
             if touches is None:
                 for axis in range(3):
@@ -835,15 +827,7 @@ def near(one, hulls, other, other_hulls, tolerance, planar):
     """Whether two shapes (records of `columns.GEOMETRY`) are within `tolerance` of each other; and
     whether that took more digits.
     """
-    return _near_any if are_any(hulls) else _near_convex
-
-
-def _near_any(one, hulls, other, other_hulls, tolerance, planar):
-    return near_any(one, hulls, other, other_hulls, tolerance, planar)
-
-
-def _near_convex(one, hulls, other, other_hulls, tolerance, planar):
-    return near_convex(one, hulls, other, other_hulls, tolerance, planar)
+    return near_any if are_any(hulls) else near_convex
 
 
 @chosen_by_types
@@ -851,15 +835,7 @@ def gap(one, hulls, other, other_hulls, planar, points):
     """Distance of two shapes, 0 if they touch; fill in the closest points, or twice a common
     one. It is the same from either side.
     """
-    return _gap_any if are_any(hulls) else _gap_convex
-
-
-def _gap_any(one, hulls, other, other_hulls, planar, points):
-    return gap_any(one, hulls, other, other_hulls, planar, points)
-
-
-def _gap_convex(one, hulls, other, other_hulls, planar, points):
-    return gap_convex(one, hulls, other, other_hulls, planar, points)
+    return gap_any if are_any(hulls) else gap_convex
 
 
 @lean_kernel

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ...tree.access import two_sum
-from ...tree.compiler import chosen_by_types, lean_kernel, stack_array
+from ...tree.compiler import chosen_by_types, inlined, lean_kernel, stack_array
 from ..shapes.hull import are_any, form_of, hull_of, hull_of_point, surface_of
 from ..shapes.mesh import CONVEX, SOLID
 from ..shapes.shape import SPHERE
@@ -52,7 +52,7 @@ from .narrow_phase import (
 
 MOST_CORNERS = 256  # of polyhedra few are needed, about round rims all where many sides are tied
 MOST_FACES = 2 * MOST_CORNERS
-SIDE_SURE = 2.0**-44  # of lengths about 1: nearer to a plane, doubles do not tell the side
+SIDE_SURE = 2.0**-44  # of lengths about 1: nearer to a plane, doubles do not decide the side
 
 
 class Polytope(NamedTuple):
@@ -255,34 +255,34 @@ def is_above(polytope, number, corner):
 
 @lean_kernel
 def expand(polytope, count, number):
-    """Take in a corner: the faces that see it give way to those between their rim and it. Return
-    how many faces there are then, 0 if there is no room.
+    """Add a corner: faces between the rim of the visible faces and the corner replace them. Return
+    the number of faces, 0 if there is no room.
     """
     faces, planes = polytope.faces, polytope.planes
-    seen, kept = stack_array((MOST_FACES, 3), np.int64), 0
+    visible, left = stack_array((MOST_FACES, 3), np.int64), 0
     many = 0
     for face in range(count):
         sees = is_above(polytope, face, polytope.corners[number])
-        target = seen[many] if sees else faces[kept]
+        target = visible[many] if sees else faces[left]
         for axis in range(3):
             target[axis] = faces[face, axis]
         if sees:
             many += 1
             continue
         for axis in range(4):
-            planes[kept, axis] = planes[face, axis]
-        kept += 1
+            planes[left, axis] = planes[face, axis]
+        left += 1
     for face in range(many):
         for side in range(3):
-            i, j = seen[face, side], seen[face, (side + 1) % 3]
-            if has_edge(seen, many, j, i):
+            i, j = visible[face, side], visible[face, (side + 1) % 3]
+            if has_edge(visible, many, j, i):
                 continue
-            if kept == MOST_FACES:
+            if left == MOST_FACES:
                 return 0
-            faces[kept, 0], faces[kept, 1], faces[kept, 2] = i, j, number
-            set_plane(polytope, kept)
-            kept += 1
-    return kept
+            faces[left, 0], faces[left, 1], faces[left, 2] = i, j, number
+            set_plane(polytope, left)
+            left += 1
+    return left
 
 
 @lean_kernel
@@ -356,7 +356,7 @@ def set_line(edge, line):
 
 
 # ---- How deep shapes that touch reach into each other: the least distance by which one of them
-# has to move until they only just touch, and which way.
+# has to move until they only just touch, and in which direction.
 #
 # Shapes are solids, meshes and footprints too. Their cores (see `gjk`) are apart, and their
 # radii overlap; or the cores overlap, and one has to be moved: boxes, points and segments along
@@ -458,7 +458,9 @@ def part(cores, distance, normal, direction):
 
 @lean_kernel
 def least_way(one, other, planar, normal):
-    """The least distance by which a core has to move to leave another; fill in which way."""
+    """The least distance by which a core has to move to leave another; fill in the
+    direction.
+    """
     if planar:
         return polygon_depth(one, other, normal)[1]
     mesh = is_mesh(one.hull) or is_mesh(other.hull)
@@ -534,7 +536,7 @@ def out_of_box(one, other, normal):
 @lean_kernel
 def out_of_aligned(lo, hi, low, high, normal):
     """The least distance by which a box, or point, from low to high has to move along an axis to
-    leave the box from lo to hi, negative if it is outside; fill in which way. Ties go to the
+    leave the box from lo to hi, negative if it is outside; fill in the direction. Ties go to the
     lowest axis, and there upwards.
     """
     least, out, sign = np.inf, 0, 1.0
@@ -571,14 +573,14 @@ def signed_distance_in_obstacle(shape, bodies, centre, found, row):
         signed_distance_in_box(points[0, :ndim], points[1, :ndim], centre, found, row)
         return
     normal = found.normals[row]
-    depth = depth_in_obstacle(bodies.hulls, shape, centre, ndim == 2, points, normal)
+    depth = depth_in_obstacle(centre, shape, bodies.hulls, ndim == 2, points, normal)
     found.distances[row] = 0.0 - depth
     for axis in range(ndim):
         found.points[row, axis] = points[1, axis]
 
 
 @lean_kernel
-def depth_in_any(hulls, shape, centre, planar, points, normal):
+def depth_in_any(centre, shape, hulls, planar, points, normal):
     """`depth_of_point` in a shape that may have a mesh of any form: of one that is not convex, the
     distance from its surface; seen from above inf, as `NO_DEPTH` says.
     """
@@ -598,17 +600,9 @@ def depth_in_any(hulls, shape, centre, planar, points, normal):
 
 
 @chosen_by_types
-def depth_in_obstacle(hulls, shape, centre, planar, points, normal):
+def depth_in_obstacle(centre, shape, hulls, planar, points, normal):
     """How deep a point is in an obstacle that holds it."""
-    return _in_any if are_any(hulls) else _in_convex
-
-
-def _in_any(hulls, shape, centre, planar, points, normal):
-    return depth_in_any(hulls, shape, centre, planar, points, normal)
-
-
-def _in_convex(hulls, shape, centre, planar, points, normal):
-    return depth_of_point(centre, shape, hulls, planar, points, normal)
+    return depth_in_any if are_any(hulls) else depth_of_point
 
 
 # Instead of minus a depth, where a mesh that is not convex touches anything but a ball; seen from
@@ -618,9 +612,9 @@ NO_DEPTH = -np.inf
 
 
 @lean_kernel
-def ball_in_any(one, other, bodies, distance, points):
+def ball_in_any(hulls, one, other, bodies, distance, points):
     """`signed_by_surface` where there are meshes of any form."""
-    hulls, sign, ball, place = bodies.hulls, 1.0, one, stack_array(3, np.float64)
+    sign, ball, place = 1.0, one, stack_array(3, np.float64)
     mesh, side = other, 0
     if form_of(hulls, other) == CONVEX:
         hulls, ball, mesh, side = bodies.query_hulls, other, one, 1
@@ -650,14 +644,11 @@ def signed_by_surface(hulls, one, other, bodies, distance, points):
     that are so far apart. Of other pairs with such a mesh `distance` if it is above 0, else
     NO_DEPTH; inf if both are convex.
     """
-    return _by_surface if are_any(hulls) else _by_depth
+    return ball_in_any if are_any(hulls) else no_surface
 
 
-def _by_surface(hulls, one, other, bodies, distance, points):
-    return ball_in_any(one, other, bodies, distance, points)
-
-
-def _by_depth(hulls, one, other, bodies, distance, points):
+@inlined
+def no_surface(hulls, one, other, bodies, distance, points):
     return np.inf
 
 

@@ -1,6 +1,6 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What overlap and distance queries ask about, and the kernels of one query."""
+"""The shapes of overlap and distance queries, and the kernels of one query."""
 
 import math
 from typing import Any, NamedTuple
@@ -59,7 +59,7 @@ from .narrow_phase import (
 )
 from .penetration import signed_distance_in_box, signed_distance_in_obstacle
 
-# ---- The shape that an overlap query asks about.
+# ---- The shape of an overlap query.
 
 LARGEST = 1.7976931348623157e308
 
@@ -181,7 +181,7 @@ def _tolerance(value: float) -> float:
     return tolerance
 
 
-# ---- The shapes that overlap and distance queries ask about, other than boxes between corners.
+# ---- The shapes of overlap and distance queries, other than boxes between corners.
 
 _NO_ROWS = np.empty((0, 3))
 NO_RECORDS = np.empty(0, GEOMETRY)
@@ -215,8 +215,8 @@ class QueryRows(NamedTuple):
 
     def mask(self, row: int) -> np.uint32:
         """The mask of a row."""
-        seen: np.uint32 = self.masks[row if len(self.masks) > 1 else 0]
-        return seen
+        mask: np.uint32 = self.masks[row if len(self.masks) > 1 else 0]
+        return mask
 
 
 def number_of(rows: tuple[Any, ...]) -> int:
@@ -344,7 +344,7 @@ def _hulls(given: Shapes, form: Canonical, planar: bool) -> Hulls | None:
 FOUND = 11  # floats of a row of `Found`
 REFUSED = -1  # the tree is being changed
 ROUNDED = 1.0 + 2.0**-48  # no computed distance is off by as much
-CLOSE = 2.0**-49  # of a tolerance: how far a computed distance from it says nothing
+CLOSE = 2.0**-49  # of a tolerance: a computed distance this near to it is not decided
 
 
 class Found(NamedTuple):
@@ -357,7 +357,7 @@ class Found(NamedTuple):
     doubtful: Any
     """Two boxes as far apart as the tolerance, up to rounding: `overlaps` decides exactly."""
     bounds: Any
-    """How far the tree says that the boxes are; where they are what was asked for."""
+    """Distances of the boxes from the tree, in queries for the nearest."""
     order: Any
     """Rows by distance, then node handle."""
 

@@ -1,6 +1,6 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Shapes that go from pose to pose, and turn on the way: when each first touches an obstacle."""
+"""Shapes that go from pose to pose, and turn meanwhile: when each first touches an obstacle."""
 
 import math
 from typing import Any, NamedTuple
@@ -63,15 +63,15 @@ from .narrow_phase import FRAMES, fill_core, holds_part, to_frame
 # Its centre, the position of the row, goes along a straight line at constant speed. It turns about
 # one axis at constant rate, by at most half a turn: q(t) = (axis sin(t a), cos(t a)) q(0), a being
 # half the angle between the two quaternions (Shoemake 1985, "Animating rotation with quaternion
-# curves"). The sign of the product of the quaternions says which way is shorter; it is computed
-# with twice the digits, as the motion is another one on either side. Where it is zero, both ways
-# are half a turn, and the quaternions are taken as they are given.
+# curves"). The sign of the product of the quaternions gives the shorter turn; it is computed
+# with twice the digits, as either sign is another motion. Where it is zero, both turns are half a
+# turn, and the quaternions are taken as they are given.
 #
 # `body` is the shape unturned, with its position at the origin, and `box` (2, 3) the corners of a
 # box around it. A mesh may lie anywhere beside its position.
 
-START, WAY, TURN, AXIS, HALF_ANGLE, ARM, REACH = 0, 3, 6, 10, 13, 14, 15
-MOTION = 16  # floats: of these START, WAY and AXIS have three, TURN has four
+START, TRANSLATION, TURN, AXIS, HALF_ANGLE, ARM, REACH = 0, 3, 6, 10, 13, 14, 15
+MOTION = 16  # floats: of these START, TRANSLATION and AXIS have three, TURN has four
 OUTWARD = 1.0 + 2.0**-40  # no computed length is off by as much
 
 
@@ -110,7 +110,7 @@ def set_motion(body, box, start, goal, turn, goal_turn, motion):
         same = same and first[part] == last[part]
         motion[TURN + part] = first[part]
     for axis in range(3):
-        motion[START + axis], motion[WAY + axis] = start[axis], goal[axis] - start[axis]
+        motion[START + axis], motion[TRANSLATION + axis] = start[axis], goal[axis] - start[axis]
         motion[AXIS + axis] = motion[AXIS + axis] / length if length > 0.0 else 0.0
     motion[HALF_ANGLE] = 0.0
     if length > 0.0 and not same and body.kind != SPHERE:
@@ -172,7 +172,8 @@ def fill_swept_box(body, box, motion, span, more, lo, hi, translation):
     pad = (OUTWARD - 1.0) * (motion[REACH] + more) + LEAST
     for axis in range(3):
         lo[axis], hi[axis] = np.inf, -np.inf
-        pad = max(pad, (OUTWARD - 1.0) * (abs(motion[START + axis]) + abs(motion[WAY + axis])))
+        farthest = abs(motion[START + axis]) + abs(motion[TRANSLATION + axis])
+        pad = max(pad, (OUTWARD - 1.0) * farthest)
     for end in range(2):
         fill_turn(motion, span[end], turn)
         fill_rotation(turn, matrix)
@@ -189,11 +190,11 @@ def fill_swept_box(body, box, motion, span, more, lo, hi, translation):
             lo[axis] = min(lo[axis], offset[axis] - reach)
             hi[axis] = max(hi[axis], offset[axis] + reach)
     for axis in range(3):
-        place = motion[START + axis] + begin * motion[WAY + axis]
+        place = motion[START + axis] + begin * motion[TRANSLATION + axis]
         lo[axis], hi[axis], translation[axis] = (
             lo[axis] + place,
             hi[axis] + place,
-            length * motion[WAY + axis],
+            length * motion[TRANSLATION + axis],
         )
 
 
@@ -201,11 +202,11 @@ def fill_swept_box(body, box, motion, span, more, lo, hi, translation):
 def goes_far(motion, span):
     """Whether a body goes farther than it is large."""
     turned = 2.0 * motion[HALF_ANGLE] * motion[ARM]
-    translation = math.sqrt(dot(motion[WAY:], motion[WAY:]))
+    translation = math.sqrt(dot(motion[TRANSLATION:], motion[TRANSLATION:]))
     return (span[1] - span[0]) * (translation + turned) > motion[REACH]
 
 
-# ---- When a body on its way first touches an obstacle: conservative advancement.
+# ---- When a body in motion first touches an obstacle: conservative advancement.
 #
 # A plane between the two, with the unit normal n towards the body, leaves a gap g. A point of the
 # body comes nearer along n at most at the rate -v . n + |n x w| ARM; v is the velocity of the
@@ -219,9 +220,9 @@ def goes_far(motion, span):
 # Beside an obstacle that it only grazes, a body needs ever more of these steps. There the plane
 # holds for longer, as the motion is known to the second order: after a time s the height of a
 # point y above the plane is at least n . y + s n . (v + w x y) - |w|^2 ARM s^2 / 2. The least of
-# that over all points is concave in s, so where it is above zero at the end of a step, it is all
-# the way. A plane that turns with the body, beside which the obstacle moves, is tried as well: a
-# tilted plate that turns below a ball stays as near to it as it is.
+# that over all points is concave in s, so where it is above zero at the end of a step, it is for
+# all of the step. A plane that turns with the body, beside which the obstacle moves, is tried as
+# well: a tilted plate that turns below a ball stays as near to it as it is.
 #
 # Each step but the last goes on by more than the resolution divided by the largest rate, so the
 # search ends; where t is rounded to what it was, that is contact, too.
@@ -233,7 +234,7 @@ def goes_far(motion, span):
 ROUNDED = 2.0**-46
 FAR = 2.0**-49  # of where an obstacle lies, that a displacement or the middle of a mesh is off by
 LESS = 1.0 - 2.0**-40  # of a step
-ENDS = 1.0 + 2.0**-40  # past the end of the way
+ENDS = 1.0 + 2.0**-40  # past the end of the motion
 ENOUGH = 0.25  # of its first gap, as long as a plane stays in use
 LONGEST = 2.0**1000
 MOST_TRIALS = 40  # of longer steps, each twice as long
@@ -241,7 +242,7 @@ ALL_ROWS = 3 * CORE_ROWS
 
 
 class Drift(NamedTuple):
-    """How an obstacle moves while a body is on its way."""
+    """How an obstacle moves while the body moves."""
 
     before: Any
     """(3,) how far it has gone at the start."""
@@ -250,7 +251,7 @@ class Drift(NamedTuple):
     stop: float
     """From this t on it rests."""
     since: float
-    """s since it was told, at the start, of one that grows."""
+    """Its age in s at the start, if it grows."""
     pace: float
     """s a unit of t."""
     growth: float
@@ -385,7 +386,7 @@ def contact_of_hulls(
             far = max(far, abs(drift.before[axis]), abs(motion[START + axis]))
         if obstacle.kind == MESH and not (planar and axis == 2):  # as is where its middle lies
             far = max(far, abs(obstacle.position[axis]))
-        translation[axis], drifting[axis] = motion[WAY + axis], drift.velocity[axis]
+        translation[axis], drifting[axis] = motion[TRANSLATION + axis], drift.velocity[axis]
         if planar and axis == 2:
             start[axis] = translation[axis] = drifting[axis] = 0.0
         largest = max(largest, abs(start[axis]), abs(translation[axis]), obstacle.half[axis])
@@ -418,7 +419,7 @@ def contact_of_hulls(
     )
     reach, near = radius + other_radius + tolerance * scale, resolution * scale
     growing = drift.growth * abs(drift.pace) * scale
-    (t, end, latest), low, high, seen = span, 0.0, 0.0, -1.0
+    (t, end, latest), low, high, checked = span, 0.0, 0.0, -1.0
     # The first plane lies across the line between the positions: that often does, without GJK.
     set_normal(start, normal)
     widest = 0.0
@@ -436,7 +437,7 @@ def contact_of_hulls(
             low, high = gap_bounds(cores[0], cores[1], np.nan, direction)
             set_normal(direction, normal)
             gap = widest = plane_gap(cores, normal, corner) - taken
-            seen = t
+            checked = t
         rate = approach(motion, velocity, normal, scale) + growing
         following = next_time(t, gap, rate, drift.stop)
         if not (gap > near or following > end):
@@ -483,7 +484,7 @@ def contact_of_hulls(
         if not following > t:
             break
         t = following
-    if seen != t:
+    if checked != t:
         low, high = gap_bounds(cores[0], cores[1], np.nan, direction)
     radii = radius, other_radius + growth_at(drift, t) * scale
     fill_contact(low, radii, direction, last)
@@ -507,7 +508,7 @@ def next_time(t, gap, rate, stop):
 def fill_contact(low, radii, direction, last):
     """Fill in direction[SECOND:] with the obstacle's closest point, and `last` with the unit
     vector from it to the body, from what `gap_bounds` found. Where the two touch up to rounding,
-    that across the last plane between them is meant: zero if there was none.
+    it is the normal of the last plane between them: zero if there was none.
     """
     length = 0.0
     for axis in range(3):
@@ -537,7 +538,7 @@ def contact_of_convex(hulls, bodies, body, box, motion, obstacle, drift, options
 
 
 class Approach(NamedTuple):
-    """A convex body, or a triangle of one, on its way to an obstacle."""
+    """A convex body, or a triangle of one, that moves towards an obstacle."""
 
     planar: Any
     hulls: Any
@@ -556,7 +557,7 @@ class Approach(NamedTuple):
 @lean_kernel
 def fill_region(approach, region):
     """Fill in the box (2, 3), in the frame of the obstacle, of all places where the body may be in
-    a span of t; the obstacle is where it is told.
+    a span of t; the obstacle is where it is stored.
     """
     room, corner = stack_array((3, 3), np.float64), stack_array(3, np.float64)
     lo, hi, translation = room[0], room[1], room[2]
@@ -639,8 +640,8 @@ def contact_of_any(hulls, bodies, body, box, motion, obstacle, drift, options, s
         return 0.0
     if mine == CONVEX:
         hull = hull_of(bodies.query_hulls, body)
-        way = body, hull, box, motion, obstacle, drift, options, span, contact
-        meet_obstacle(Approach(planar, hulls, *way), best)
+        given = body, hull, box, motion, obstacle, drift, options, span, contact
+        meet_obstacle(Approach(planar, hulls, *given), best)
         return best[0]
     surface = surface_of(bodies.query_hulls, body)
     places, own = stack_array((3, 3), np.float64), stack_array((2, 3), np.float64)
@@ -650,8 +651,8 @@ def contact_of_any(hulls, bodies, body, box, motion, obstacle, drift, options, s
         for axis in range(3):
             own[0, axis] = body.position[axis] + node.lo[axis]
             own[1, axis] = body.position[axis] + node.hi[axis]
-        way = body, hull, own, motion, obstacle, drift, options, span, contact
-        meet_obstacle(Approach(planar, hulls, *way), best)
+        given = body, hull, own, motion, obstacle, drift, options, span, contact
+        meet_obstacle(Approach(planar, hulls, *given), best)
     return best[0]
 
 
@@ -680,19 +681,7 @@ def first_contact(hulls, bodies, body, box, motion, obstacle, drift, options, sp
     """The first t of a span, its ends included, at which a body touches an obstacle: see
     `contact_of_hulls`. `hulls` are the obstacle's.
     """
-    return _contact_of_any if are_any(hulls) else _contact_of_convex
-
-
-def _contact_of_any(hulls, bodies, body, box, motion, obstacle, drift, options, span, contact):
-    return contact_of_any(
-        hulls, bodies, body, box, motion, obstacle, drift, options, span, contact
-    )
-
-
-def _contact_of_convex(hulls, bodies, body, box, motion, obstacle, drift, options, span, contact):
-    return contact_of_convex(
-        hulls, bodies, body, box, motion, obstacle, drift, options, span, contact
-    )
+    return contact_of_any if are_any(hulls) else contact_of_convex
 
 
 # ---- Rows of a batch.

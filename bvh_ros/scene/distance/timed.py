@@ -31,7 +31,7 @@ from .batch import (
     HITS,
     MANY,
     NO_ORDER,
-    NOT_ASKED,
+    NO_SLOTS,
     Near,
     Neighbours,
     Points,
@@ -45,13 +45,13 @@ from .batch import room_for as answers_for
 from .moving import ROOM, QueryTimes, clear_rows, near_rows, touch_rows
 from .query import FAULTY, FOUND, NO_GIVEN, ROUNDED, Found, QueryShape, found_in, number_of
 
-# ---- What is kept from one question at a time to the next, see `TimedDistances`.
+# ---- What one query at a time leaves to the next, see `TimedDistances`.
 
 FEW = 64  # obstacles that there is room for at first
 
 
 class CachedArguments(NamedTuple):
-    """What kernels are told of a world while it is of one version and its arrays are these."""
+    """Arguments of kernels while the world has one version and these arrays."""
 
     version: int
     bodies: Any
@@ -74,7 +74,7 @@ class Scratch:
 
     def make_room(self, count: int) -> None:
         """Have room for at least so many."""
-        self.known: CachedArguments | None = None
+        self.cached: CachedArguments | None = None
         self.floats = np.zeros(ROOM * 2 * count)
         self.shape, self.footprint = np.empty(1, GEOMETRY), np.empty(1, FOOTPRINT)
         self.found: Found = found_in.py_func(self.floats[: FOUND * 2 * count])
@@ -118,7 +118,7 @@ class OneTimed:
         options = query.record, query.bounds[None], scratch.limits, scratch.masks, NO_GIVEN
         while not done:
             arrays, found = tree._settled().tree, scratch.found
-            then, memory = self._known(scratch, arrays, at, hulls)
+            then, memory = self._arguments(scratch, arrays, at, hulls)
             given = options, (0, 1, WANT_COUNT, 0), memory, scratch.answers
             done, wanted, _, compared = self._call(arrays, touch_rows, then, given, None)
             if not done:
@@ -144,7 +144,7 @@ class OneTimed:
             scratch.results = no_rows(1, k)
         while not done:
             arrays, found = store.tree._settled().tree, scratch.found
-            then, memory = self._known(scratch, arrays, at, None)
+            then, memory = self._arguments(scratch, arrays, at, None)
             options = 0, 1, k, *self._among(arrays, signed)
             given = scratch.points, None, options, memory, scratch.results
             done, wanted, count = self._call(arrays, near_rows, then, given, signed)
@@ -163,23 +163,24 @@ class OneTimed:
     # ---- kernels
 
     def _among(self, arrays: Tree, signed: Signed) -> tuple[bool, int, bool, Signed]:
-        """What `near_rows` is told of all rows."""
+        """The arguments of `near_rows` for all rows."""
         store, columns = self._store, self._store.columns
         shaped, twice = columns.shaped > 0, columns.shadows > 0
         some_more = shaped or twice or store.uncertainty > 0.0 or signed is not None
         return some_more, arrays[4].item(COUNTED), twice, signed
 
-    def _known(
+    def _arguments(
         self, scratch: Scratch, arrays: Tree, at: Any, hulls: Hulls | None
     ) -> tuple[QueryTimes, tuple[Any, Any]]:
-        """What a kernel is told of times, and what of `scratch` it writes to."""
-        known, bodies, version = scratch.known, self._store.columns.bodies, arrays[4].item(CHANGES)
-        if known is not None and hulls is None and known[0] == version and known[1] is bodies:
-            _, _, then, memory = known
+        """The times for a kernel, and the part of `scratch` that it writes to."""
+        cached, version = scratch.cached, arrays[4].item(CHANGES)
+        bodies = self._store.columns.bodies
+        if cached is not None and hulls is None and cached[0] == version and cached[1] is bodies:
+            _, _, then, memory = cached
         else:
             then = self._then(scratch.at, hulls)
             memory = scratch.memory(then)
-            scratch.known = (
+            scratch.cached = (
                 CachedArguments(version, bodies, then, memory) if hulls is None else None
             )
         if type(at) is float:
@@ -234,7 +235,7 @@ class TimedDistances(OneTimed):
         results = answers_for(count, wanted)
         if threads == 1 and not columns.shadows:  # without what others take
             scratch = self._spare.take()
-            then, memory = self._known(scratch, arrays, at, hulls)
+            then, memory = self._arguments(scratch, arrays, at, hulls)
             given = rows, (0, count, wanted, 0), memory, results
             done, _, written, compared = self._call(arrays, touch_rows, then, given, None)
             self._spare.give(scratch)
@@ -264,7 +265,7 @@ class TimedDistances(OneTimed):
             begin, total, room, answers, some = start, 0, FEW, results, []
             scratch = self._spare.take()
             while start < stop:
-                then, memory = self._known(scratch, arrays, at, hulls)
+                then, memory = self._arguments(scratch, arrays, at, hulls)
                 if wanted == ALL:
                     answers = *results[:2], np.empty(room, np.uint32), *results[3:]
                 given = rows, (start, stop, wanted, total), memory, answers
@@ -302,7 +303,7 @@ class TimedDistances(OneTimed):
         results, among = no_rows(count, k), self._among(arrays, signed)
         if threads == 1 and count < MANY:  # without what others take
             scratch = self._spare.take()
-            then, memory = self._known(scratch, arrays, at, None)
+            then, memory = self._arguments(scratch, arrays, at, None)
             given = points, None, (0, count, k, *among), memory, results
             done, wanted, _ = self._call(arrays, near_rows, then, given, signed)
             self._spare.give(scratch)
@@ -323,19 +324,19 @@ class TimedDistances(OneTimed):
         """The same, in parts; whether all points are finite."""
         signed, count, tree = options[-1], len(points.points), self._store.tree
         view = tree.view()
-        near, known = self._in_packets(points, options)
-        variant: Any = signed if known is None else (signed, Bounded)
+        near, packets = self._in_packets(points, options)
+        variant: Any = signed if packets is None else (signed, Bounded)
         if near is not None:
             points = points._replace(order=near.order)
 
         def work(start: int, stop: int) -> bool:
-            if near is not None and known is not None and tree.motion is not None:
+            if near is not None and packets is not None and tree.motion is not None:
                 rows = near._replace(order=near.order[start:stop])
-                tree.motion.bound_many(tree, at, rows, known)
+                tree.motion.bound_many(tree, at, rows, packets)
             scratch = self._spare.take()
             while start < stop:
-                then, memory = self._known(scratch, view.tree, at, None)
-                given = points, known, (start, stop, *options), memory, results
+                then, memory = self._arguments(scratch, view.tree, at, None)
+                given = points, packets, (start, stop, *options), memory, results
                 start, wanted, _ = self._call(view.tree, near_rows, then, given, variant)
                 if wanted == FAULTY:
                     return False
@@ -344,15 +345,15 @@ class TimedDistances(OneTimed):
             return True
 
         finite = all(in_threads(work, count, threads))
-        if known is not None:
+        if packets is not None:
             tree.check_unchanged(view)
         return finite
 
     def _in_packets(
         self, points: Points, options: tuple[int, bool, int, bool, Signed]
     ) -> tuple[PointQueries, Bounded] | tuple[None, None]:
-        """What is asked of a batch that is dense enough, and room for what is found; `near_rows`
-        asks for the rest itself, as where obstacles grow.
+        """The query of a batch that is dense enough, and room for what is found. `near_rows` finds
+        the rest itself, and all where obstacles grow.
         """
         (k, some_more, everybody, *_), count = options, len(points.points)
         wanted, ndim = min(k + some_more, everybody + 1), self._store.tree.ndim
@@ -383,12 +384,12 @@ class TimedDistances(OneTimed):
         count, arrays = number_of(rows), self._store.tree._settled().tree
         everybody = arrays[4].item(COUNTED)
         results = room_for_neighbours(
-            count, NOT_ASKED if itself == NONE else np.empty(count, np.int64)
+            count, NO_SLOTS if itself == NONE else np.empty(count, np.int64)
         )
         alike = itself == NONE and not self._store.columns.shaped
         if threads == 1:  # without what others take
             scratch = self._spare.take()
-            then, memory = self._known(scratch, arrays, at, hulls)
+            then, memory = self._arguments(scratch, arrays, at, hulls)
             given = rows, (0, count, reaches, everybody, itself, signed, alike), memory, results
             done, wanted = self._call(arrays, clear_rows, then, given, signed)
             self._spare.give(scratch)
@@ -413,7 +414,7 @@ class TimedDistances(OneTimed):
         """Fill in the rows [start, stop); whether all are legal."""
         scratch = self._spare.take()
         while start < stop:
-            then, memory = self._known(scratch, arrays, at, hulls)
+            then, memory = self._arguments(scratch, arrays, at, hulls)
             given = rows, (start, stop, *options), memory, results
             start, wanted = self._call(arrays, clear_rows, then, given, options[3])
             if wanted == FAULTY:

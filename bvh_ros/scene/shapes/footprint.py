@@ -374,15 +374,7 @@ def closest_on_any(footprint, hulls, scale, point, out):
 @chosen_by_types
 def closest_on_core(footprint, hulls, scale, point, out):
     """`closest_on_polygon` of what a footprint, which is no oval, is without its radius."""
-    return _closest_on_any if are_any(hulls) else _closest_on_convex
-
-
-def _closest_on_any(footprint, hulls, scale, point, out):
-    return closest_on_any(footprint, hulls, scale, point, out)
-
-
-def _closest_on_convex(footprint, hulls, scale, point, out):
-    return closest_on_convex(footprint, hulls, scale, point, out)
+    return closest_on_any if are_any(hulls) else closest_on_convex
 
 
 # ---- The closest point of a footprint.

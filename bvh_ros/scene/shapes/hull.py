@@ -10,7 +10,7 @@ from numba import types
 from numpy.typing import NDArray
 
 from ...tree.access import node_dtype
-from ...tree.compiler import CACHE_LINE, chosen_by_types, lean_kernel
+from ...tree.compiler import CACHE_LINE, chosen_by_types, inlined, lean_kernel
 from .mesh import CONVEX, LANES, NO_WIDE, NUMBERS, Floats, Mesh
 from .shadow import Seen
 from .shape import MESH
@@ -292,10 +292,12 @@ def hull_of_point(hull):
     return _nothing if isinstance(hull, types.NoneType) else _no_vertices
 
 
+@inlined
 def _nothing_of(hulls, shape):
     return None
 
 
+@inlined
 def _vertices_of(hulls, shape):
     if shape.kind != MESH:
         return Hull(hulls.vertices[:0], hulls.discs[:0], 1.0)
@@ -307,9 +309,11 @@ def _vertices_of(hulls, shape):
     )
 
 
+@inlined
 def _nothing(hull):
     return None
 
 
+@inlined
 def _no_vertices(hull):
     return Hull(hull.places[:0], hull.discs[:0], 1.0)

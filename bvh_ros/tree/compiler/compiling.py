@@ -52,17 +52,25 @@ def inlined(function: Callable[..., Any]) -> Any:
 
 
 def chosen_by_types(choose: Callable[..., Any]) -> Callable[..., Any]:
-    """A function for kernels: the lean one that `choose` returns for the types of its arguments.
+    """A function for kernels: the kernel that `choose` returns for the types of its arguments.
 
     numba compiles both sides of `x is None`, whatever the type of x: a result that is None on one
     side has another type then, and all that takes it is compiled for both.
     """
-    options = {'error_model': 'numpy', **({} if inside.parts() is None else {'_nrt': False})}
 
     def called(*arguments: Any) -> Any:
         raise TypeError(f'{choose.__name__} is for kernels only')
 
-    overload(called, jit_options=options)(choose)
+    parts = inside.parts()
+    if parts is not None:
+        parts.choose_kernels(called, choose)
+        return called
+
+    @overload(called, jit_options={'error_model': 'numpy'}, strict=False)
+    def wrap(*types: Any) -> Callable[..., Any]:
+        chosen = choose(*types)
+        return lambda *arguments: chosen(*arguments)
+
     return called
 
 

@@ -20,7 +20,7 @@ import sys
 import threading
 import time
 from collections.abc import Iterator
-from typing import Any
+from typing import Any, ClassVar
 
 from numba.core.bytecode import FunctionIdentity
 from numba.core.compiler import Compiler, DefaultPassBuilder
@@ -28,8 +28,9 @@ from numba.core.compiler_lock import global_compiler_lock
 from numba.core.compiler_machinery import register_pass
 from numba.core.registry import CPUDispatcher, cpu_target
 from numba.core.typed_passes import NativeLowering
-from numba.core.types import IntegerLiteral, Record
+from numba.core.types import Dispatcher, Function, IntegerLiteral, Record
 from numba.core.types.misc import unliteral
+from numba.core.typing.templates import AbstractTemplate, infer_global
 
 from .kernel_files import KernelCache, PartCache, PartCode
 from .workers import is_here
@@ -231,6 +232,27 @@ class Kernel(CPUDispatcher):
 
     def get_overload(self, sig: Any) -> Any:
         return self._part.get_overload(sig)
+
+
+def choose_kernels(called: Any, choose: Any) -> None:
+    """In kernels, a call of `called` is one of the `Kernel` that `choose` returns for the types of
+    the arguments. numba's `overload` would compile a function around it, in each process.
+    """
+
+    class Chosen(AbstractTemplate):
+        key = called
+        entries: ClassVar[dict[Any, Any]] = {}
+
+        def generic(self, args: Any, kws: Any) -> Any:
+            kernel = Dispatcher(choose(*args, **kws))
+            signature: Any = kernel.get_call_type(self.context, args, kws)
+            self.entries[signature.args] = kernel.get_overload(signature)
+            return signature
+
+        def get_impl_key(self, sig: Any) -> Any:
+            return self.entries[sig.args]
+
+    infer_global(called, Function(Chosen))
 
 
 def code_generator() -> tuple[str, str, str]:

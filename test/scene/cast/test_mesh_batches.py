@@ -5,19 +5,19 @@
 import numpy as np
 import pytest
 from scene.reference import icosphere
+from scene.shapes.test_any_mesh import ring as torus
 
-from bvh_ros.report.scenes import wavy_ring
 from bvh_ros.scene import Mesh, Scene, Shapes
 
 COUNT = 1_500  # more than go together
+RING = torus(24, 10, 1000) / 1000.0
 
 
 @pytest.fixture(scope='module')
 def shapes():
     """Meshes that share triangles and lie in each other, among other shapes."""
     rng = np.random.default_rng(5)
-    ring, ball = wavy_ring(24, 10), icosphere(3)
-    solid, shell, convex = Mesh(*ring), Mesh(*ring, solid=False), Mesh(ball)
+    solid, shell, convex = Mesh(RING), Mesh(RING, solid=False), Mesh(icosphere(3))
     few = Mesh([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], [[0, 1, 2], [0, 1, 3]])
     meshes = [solid, solid, shell, convex, few, solid]
     turns = rng.normal(size=(len(meshes), 4))
@@ -44,7 +44,7 @@ def rays():
     without a length, and with endless ones.
     """
     rng = np.random.default_rng(6)
-    vertices = wavy_ring(24, 10)[0]
+    vertices = RING.reshape(-1, 3)
     origins = rng.normal(size=(COUNT, 3)) * 2.0
     goals = rng.uniform(-1.5, 1.5, (COUNT, 3))
     goals[:300] = vertices[rng.integers(0, len(vertices), 300)]

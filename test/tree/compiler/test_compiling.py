@@ -5,9 +5,9 @@
 import pytest
 
 from bvh_ros.scene.cast.query import no_hit
+from bvh_ros.scene.cast.shapes import radius_of
 from bvh_ros.tree import checks
-from bvh_ros.tree.compiler import inside
-from bvh_ros.tree.compiler.compiling import entry_point, inlined, kernel, lean_kernel
+from bvh_ros.tree.compiler import entry_point, inlined, inside, kernel, lean_kernel
 
 
 def test_what_a_kernel_returns_is_made_without_python():
@@ -25,3 +25,8 @@ def test_a_kernel_is_inlined_where_it_says_so_only():
     for decorate, wanted in ((kernel, False), (lean_kernel, False), (inlined, True)):
         made = decorate(checks.first_not_finite.py_func)
         assert made.targetoptions['forceinline'] is wanted
+
+
+def test_a_function_that_types_choose_is_for_kernels():
+    with pytest.raises(TypeError, match='radius_of is for kernels only'):
+        radius_of(1.0)

@@ -19,10 +19,13 @@ BEHIND_THE_GATE = ('kernel_files.py', 'kernel_parts.py')
 
 ANSWERS = """
 import json
+import numba
 import numpy as np
 from bvh_ros import DynamicBVH
+from bvh_ros.scene.cast.shapes import radius_of
 from bvh_ros.tree import checks
 
+chosen = numba.njit(lambda ball: radius_of(ball))
 random = np.random.default_rng(0)
 tree = DynamicBVH(2)
 for corner in random.uniform(0, 100, (60, 2)):
@@ -35,6 +38,7 @@ print(json.dumps([
     [array.tolist() for array in hits],
     tree.overlap([10, 10], [40, 40]).tolist(),
     tree.cost(),
+    [chosen(None), chosen(2.5)],
 ]))
 """
 HIDING = """
@@ -85,6 +89,7 @@ def run(code: str, *arguments: str, **environment: str) -> tuple[list, str]:
 def test_without_what_is_not_documented_answers_are_the_same():
     (name, *expected), said = run(ANSWERS)
     assert (name, said) == ('Kernel', '')
+    assert expected[-1] == [0.0, 2.5]
     # Is compiled anew. Checks of bounds, which CI asks for in another run, are in no public name.
     plain = {'NUMBA_OPT': '0', 'NUMBA_BOUNDSCHECK': '0'}
     (name, *answers), said = run(HIDING + ANSWERS, *PUBLIC, **plain)
