@@ -3,6 +3,7 @@
 """What a scene holds: for each obstacle a box in the tree, a name and a row of columns."""
 
 import functools
+from collections import Counter
 from collections.abc import Callable, Generator, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from functools import cache
@@ -18,7 +19,7 @@ from .results import LAST_NODE_HANDLE, SceneHit
 from .rows import Rows
 from .shapes.footprint import FOOTPRINT, footprints
 from .shapes.hull import NO_HULLS, AnyHulls, Hulls, MeshStore, of_one_type
-from .shapes.shape import GEOMETRY, MESH, UNTURNED, Floats, shapes_of
+from .shapes.shape import GEOMETRY, MESH, UNTURNED, Floats, by_mesh, shapes_of
 
 # ---- Long work in another thread, while others have their turn.
 
@@ -276,14 +277,15 @@ class Columns:
             if isinstance(array, np.ndarray):
                 array[copies] = array[slots]
         self.shaped += int(np.count_nonzero(self.geometry['shaped'][copies]))
-        for slot in self._with_meshes(copies):
-            self.meshes.take(self.meshes[int(self.geometry['mesh'][slot])])
+        for number, times in self._uses_of_meshes(copies):
+            self.meshes.take(self.meshes[number], times)
 
     def write(self, slots: Slots, rows: 'Rows', owner: tuple[int, int]) -> tuple[int, int]:
         """Write rows of an update; `owner` is (source, group). Returns how many obstacles were in
         another group before, or in none, and when the first of them expires, ns.
         """
-        numbers = self._take_meshes(rows) if rows.mesh is not None else []
+        if rows.mesh is not None:
+            self._take_meshes(rows)
         if len(self.meshes):
             self._release_meshes(slots)  # afterwards: what only moves is never forgotten
             self._gather()
@@ -294,28 +296,27 @@ class Columns:
         self.shaped += shaped
         if self.footprint is not None and concerned:
             self.footprint[slots] = footprints(shapes_of(rows.records), rows.records['shaped'])
-            for row, number in numbers:
-                self.footprint['polygon'][slots[row]] = number + 1
+            if rows.mesh is not None:
+                seen = rows.records['kind'] == MESH
+                self.footprint['polygon'][slots[seen]] = rows.records['mesh'][seen] + 1
         return joined, soonest
 
-    def _take_meshes(self, rows: 'Rows') -> list[tuple[int, int]]:
-        """Row and number of each mesh; the records get the numbers, too."""
-        numbers, mesh = [], np.asarray(rows.mesh)
-        for row in np.flatnonzero(rows.records['kind'] == MESH).tolist():
-            number = self.meshes.take(mesh[row])
-            rows.records['mesh'][row] = number
-            numbers.append((row, number))
-        return numbers
+    def _take_meshes(self, rows: 'Rows') -> None:
+        """Use the meshes of rows, whose records get the numbers."""
+        which = np.flatnonzero(rows.records['kind'] == MESH)
+        for mesh, some in by_mesh(np.asarray(rows.mesh), which):
+            rows.records['mesh'][some] = self.meshes.take(mesh, len(some))
 
-    def _with_meshes(self, slots: Slots) -> list[int]:
+    def _uses_of_meshes(self, slots: Slots) -> Iterator[tuple[int, int]]:
+        """The numbers of the meshes in some slots, and how many of these have each."""
         if not len(self.meshes):
-            return []
-        with_meshes: list[int] = slots[self.geometry['kind'][slots] == MESH].tolist()
-        return with_meshes
+            return
+        slots = slots[self.geometry['kind'][slots] == MESH]
+        yield from Counter(self.geometry['mesh'][slots].tolist()).items()
 
     def _release_meshes(self, slots: Slots) -> None:
-        for slot in self._with_meshes(slots):
-            self.meshes.release(int(self.geometry['mesh'][slot]))
+        for number, times in self._uses_of_meshes(slots):
+            self.meshes.release(number, times)
 
     def used(self) -> Slots:
         """Slots in use, in order of the node handles, that is of first appearance."""

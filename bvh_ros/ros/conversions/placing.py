@@ -63,6 +63,7 @@ def examined(
 def _examine(triangles: NDArray[np.float64], planar: bool, form: str) -> Mesh:
     mesh = mesh_of(triangles, form)
     # Each is made when it is first read, and stays.
+    _ = mesh.reaches
     if planar:
         _ = mesh.outline if mesh.convex else mesh.shadow
     else:

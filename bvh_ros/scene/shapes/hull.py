@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ...tree.access import node_dtype
 from ...tree.compiler import CACHE_LINE, chosen_by_types, inlined, lean_kernel
-from .mesh import CONVEX, LANES, NO_WIDE, NUMBERS, Floats, Mesh
+from .mesh import CONVEX, LANES, NO_WIDE, NUMBERS, Floats, Hull, Mesh
 from .shadow import Seen
 from .shape import MESH
 from .surface import Surface, Wide
@@ -180,20 +180,20 @@ class MeshStore:
     def __getitem__(self, number: int) -> Mesh | Seen:
         return self.by_number[number]
 
-    def take(self, mesh: Mesh | Seen) -> int:
-        """Number of a mesh, used once more."""
+    def take(self, mesh: Mesh | Seen, times: int = 1) -> int:
+        """Number of a mesh, used so many times more."""
         number = self._numbers.get(mesh.key)
         if number is None:
             number = self._free.pop() if self._free else len(self.by_number)
             self._joined.add(number, mesh)
             self._numbers[mesh.key], self.by_number[number], self._uses[number] = number, mesh, 0
             self._used += len(mesh.vertices)
-        self._uses[number] += 1
+        self._uses[number] += times
         return number
 
-    def release(self, number: int) -> None:
-        """Use a mesh once less; one that nobody uses is forgotten."""
-        self._uses[number] -= 1
+    def release(self, number: int, times: int = 1) -> None:
+        """Use a mesh so many times less; one that nobody uses is forgotten."""
+        self._uses[number] -= times
         if self._uses[number]:
             return
         mesh = self.by_number.pop(number)
@@ -268,16 +268,6 @@ def triangle_hull(hulls, surface, face, places):
         for axis in range(3):
             places[number, axis] = corner[axis]
     return Hull(places, hulls.discs[:0], surface.radius)
-
-
-class Hull(NamedTuple):
-    """Vertices of a mesh, for GJK."""
-
-    places: Any
-    discs: Any
-    """See `farthest`."""
-    radius: Any
-    """A length beyond which no vertex is, m."""
 
 
 @chosen_by_types

@@ -2,9 +2,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Meshes: whether triangles are convex or closed, and what kernels need of them."""
 
+import functools
 import hashlib
 import math
 import os
+from collections.abc import Callable
 from fractions import Fraction
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -14,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ...tree.access import OpenTree, checks, take_snapshot
-from ...tree.compiler import WIDTH, lean_kernel, stack_array
+from ...tree.compiler import WIDTH, entry_point, inlined, lean_kernel, stack_array
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -85,7 +87,7 @@ class Lying(NamedTuple):
     normals: Floats  # (m, 3) of those planes, outward unit vectors
 
 
-class Hull(NamedTuple):
+class Planes(NamedTuple):
     """Planes of a hull, and which of them meet at the corner nearest each of its points."""
 
     equations: Floats  # (f, 4) outward unit normal n and d: n . x + d <= 0 in the hull
@@ -131,7 +133,7 @@ def lying(points: Floats, corners: Integers, enough: float) -> Lying:
     return found
 
 
-def _hull(points: Floats) -> tuple[Hull, Integers]:
+def _hull(points: Floats) -> tuple[Planes, Integers]:
     """The hull of points, and the triangles (f, 3) of its surface."""
     # Only meshes need this library: it is imported when the first one comes.
     from scipy.spatial import ConvexHull, QhullError, cKDTree
@@ -154,7 +156,7 @@ def _hull(points: Floats) -> tuple[Hull, Integers]:
     one, two, three = (points[faces[:, k]] for k in range(3))
     areas = np.linalg.norm(np.cross(two - one, three - one), axis=1)
     equations = hull.equations - [0.0, 0.0, 0.0, math.sqrt(3.0) * by]
-    return Hull(equations, areas, first[nearest], count[nearest], order // 3), faces
+    return Planes(equations, areas, first[nearest], count[nearest], order // 3), faces
 
 
 def _shared(corners: Integers, faces: Integers, count: int) -> tuple[Integers, Integers]:
@@ -170,7 +172,7 @@ def _shared(corners: Integers, faces: Integers, count: int) -> tuple[Integers, I
 
 
 def _hold_against_near(
-    points: Floats, corners: Integers, rows: Integers, hull: Hull, enough: float, found: Lying
+    points: Floats, corners: Integers, rows: Integers, hull: Planes, enough: float, found: Lying
 ) -> Integers:
     """Hold triangles against planes that meet near their corners; return those that lie deeper."""
     for corner in range(3):
@@ -451,9 +453,18 @@ ROOM = 96  # seven lanes wait on each of up to twelve levels
 TIED = 2.0**-50  # of a mesh's radius: what rounds its vertices' heights
 
 
+class Hull(NamedTuple):
+    """Vertices of a mesh."""
+
+    places: Any
+    discs: Any
+    radius: Any
+    """A length beyond which no vertex is, m."""
+
+
 @lean_kernel
 def farthest_vertex(hull, x, y, z):
-    """Row of the vertex of a `hull.Hull` that is farthest along (x, y, z), up to rounding."""
+    """Row of the vertex of a `Hull` that is farthest along (x, y, z), up to rounding."""
     best, height, direction = np.int64(0), -np.inf, (x, y, z)
     blocks, count = hull.discs.shape[0], hull.places.shape[0]
     if blocks == 0:
@@ -568,6 +579,84 @@ def _around(places: Floats, starts: NDArray[np.int64]) -> Floats:
         np.maximum.reduceat(across, starts),
     )
     return np.ascontiguousarray(rows.reshape(-1, LANES, NUMBERS).transpose(0, 2, 1))
+
+
+# ---- How far a mesh reaches along any direction, for the box around it in a new pose.
+#
+# Along a sum of directions a mesh reaches at most as far as along each of them together. So
+# interpolation between the points of a grid, on the six faces of a cube, bounds the reach along
+# any direction. Of a ball the bound is up to 0.4 % of the radius too large, at a sharp edge up to
+# 6 %. Along a point of the grid, as the axes are, it is the reach itself. Of few vertices all are
+# looked at.
+
+
+GRID = 16  # squares along each edge of the cube
+CORNERS = GRID + 1
+RAISED = 2.0**-47  # of a mesh's radius: more than what rounds a reach in the grid
+
+
+@lean_kernel
+def fill_reaches(hull, reaches):
+    """Fill in how far a mesh reaches along all points of the grid, and along their opposites, (3,
+    CORNERS, CORNERS, 2). At [axis, i, j] that axis is 1, and the next two go from -1 to 1.
+    """
+    way, half = stack_array(3, np.float64), GRID / 2
+    for axis in range(3):
+        for i in range(CORNERS):
+            for j in range(CORNERS):
+                for side in range(2):
+                    sign = 1.0 - 2.0 * side
+                    way[axis] = sign
+                    way[(axis + 1) % 3] = sign * (i / half - 1.0)
+                    way[(axis + 2) % 3] = sign * (j / half - 1.0)
+                    place = hull.places[farthest_vertex(hull, way[0], way[1], way[2])]
+                    reach = way[0] * place[0] + way[1] * place[1] + way[2] * place[2]
+                    reaches[axis, i, j, side] = reach + RAISED * hull.radius
+
+
+@lean_kernel
+def reach_both_ways(hull, reaches, x, y, z):
+    """How far a mesh reaches along (x, y, z), which is not zero, and the opposite way, at most.
+    Without a grid it is how far it does.
+    """
+    if reaches.shape[0] == 0:
+        ahead, behind = -np.inf, -np.inf
+        for vertex in range(hull.places.shape[0]):
+            place = hull.places[vertex]
+            along = x * place[0] + y * place[1] + z * place[2]
+            ahead, behind = max(ahead, along), max(behind, -along)
+        return ahead, behind
+    axis, largest, second, third = 0, x, y, z
+    if abs(y) > abs(largest):
+        axis, largest, second, third = 1, y, z, x
+    if abs(z) > abs(largest):
+        axis, largest, second, third = 2, z, x, y
+    u = (second / largest + 1.0) * (GRID / 2)
+    v = (third / largest + 1.0) * (GRID / 2)
+    i, j = min(int(u), GRID - 1), min(int(v), GRID - 1)
+    square, weights = reaches[axis, i : i + 2, j : j + 2], (u - i, v - j)
+    first, other = interpolated(square, 0, weights), interpolated(square, 1, weights)
+    first, other = first * abs(largest), other * abs(largest)
+    return (first, other) if largest > 0.0 else (other, first)
+
+
+@inlined
+def interpolated(square, side, weights):
+    """Between four points of the grid."""
+    u, v = weights
+    low = square[0, 0, side] * (1.0 - v) + square[0, 1, side] * v
+    high = square[1, 0, side] * (1.0 - v) + square[1, 1, side] * v
+    return low * (1.0 - u) + high * u
+
+
+NO_REACHES = np.empty((0, CORNERS, CORNERS, 2))
+NO_HULL = Hull(np.empty((0, 3)), np.empty((0, NUMBERS, LANES)), 1.0)
+
+
+@functools.cache
+def reaches_entry() -> Callable[..., Any]:
+    """The machine code of `fill_reaches`."""
+    return entry_point(fill_reaches, NO_HULL, NO_REACHES)
 
 
 # ---- The surface of any triangles, and whether it is closed.
@@ -919,8 +1008,22 @@ class Mesh:
 
     @cached_property
     def discs(self) -> Floats:
-        """What `farthest_vertex` needs of a convex mesh."""
-        return discs(self.vertices if self.convex else self.vertices[:0])
+        """What `farthest_vertex` needs."""
+        return discs(self.vertices)
+
+    @cached_property
+    def reaches(self) -> Floats:
+        """What `reach_both_ways` needs: nothing of few vertices."""
+        if len(self.vertices) <= FEW:
+            return NO_REACHES
+        reaches = np.empty((3, CORNERS, CORNERS, 2))
+        reaches_entry()(self.hull, reaches)
+        return reaches
+
+    @property
+    def hull(self) -> Hull:
+        """Its vertices for kernels."""
+        return Hull(self.vertices, self.discs, self.radius)
 
     @cached_property
     def seeds(self) -> Floats:

@@ -4,7 +4,7 @@
 
 import functools
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from enum import IntEnum
 from typing import Any, NamedTuple
 
@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ...tree.access import FLOAT64, checks, of_row
 from ...tree.compiler import entry_point, inlined, lean_kernel, stack_array
-from .mesh import Mesh
+from .mesh import NO_HULL, NO_REACHES, Mesh, reach_both_ways, reaches_entry
 
 # ---- Lengths that neither overflow nor vanish.
 
@@ -555,8 +555,6 @@ OUTWARD = 2.0**-45
 LEAST = 5e-324
 NO_BOUNDS = np.empty((0, 2, 3))
 
-MOST_PLACES = 1 << 18  # of vertices that are turned at once
-
 REASONS = (
     '',
     'its kind is none of BOX, SPHERE, CYLINDER, CAPSULE and MESH',
@@ -804,60 +802,101 @@ def canonicalise(shapes: Shapes, ndim: int = 3) -> Canonical:
     return form
 
 
+@lean_kernel
+def mesh_row(mesh, position, record, ndim, bounds):
+    """Fill in position and bounds (2, 3) of a row with a `PlacedMesh`, whose frame is at a
+    position.
+    """
+    matrix, half, centre = stack_array((3, 3), np.float64), record.half, mesh.centre
+    fill_rotation(record.orientation, matrix)
+    largest = 0.0
+    if record.orientation[0] != 0.0 or record.orientation[1] != 0.0:
+        largest = max(half[0], half[1], half[2])
+    for axis in range(3):
+        x, y, z = matrix[axis, 0], matrix[axis, 1], matrix[axis, 2]
+        record.position[axis] = position[axis] + (x * centre[0] + y * centre[1] + z * centre[2])
+        ahead, behind = reach_both_ways(mesh.hull, mesh.reaches, x, y, z)
+        if axis < ndim:
+            around = max(reach_along(MESH, half, matrix, axis), ahead, behind)
+            largest = max(largest, abs(record.position[axis]) + around)
+        bounds[0, axis], bounds[1, axis] = -behind, ahead
+    pad = largest * OUTWARD + LEAST
+    for axis in range(3):
+        bounds[0, axis] = record.position[axis] + bounds[0, axis] - pad
+        bounds[1, axis] = record.position[axis] + bounds[1, axis] + pad
+
+
+class PlacedMesh(NamedTuple):
+    """What `mesh_rows` needs of a `Mesh`."""
+
+    hull: Any
+    reaches: Any
+    centre: Any
+    size: Any
+
+
+@lean_kernel
+def mesh_rows(mesh, rows, positions, sizes, form):
+    """Fill in those rows of a `Canonical` that have a mesh, a `PlacedMesh`."""
+    bounds, ndim = stack_array((2, 3), np.float64), form.lo.shape[1]
+    for row in rows:
+        size = sizes[row]
+        if size[0] != mesh.size[0] or size[1] != mesh.size[1] or size[2] != mesh.size[2]:
+            form.faults[row] = NO_MESH
+            continue
+        mesh_row(mesh, positions[row], form.records[row], ndim, bounds)
+        fine = is_finite(bounds[0]) and is_finite(bounds[1])
+        form.faults[row] = FINE if fine else TOO_LARGE
+        for axis in range(ndim):
+            form.lo[row, axis], form.hi[row, axis] = bounds[0, axis], bounds[1, axis]
+
+
+@functools.cache
+def mesh_rows_entry() -> Callable[..., Any]:
+    """The machine code of `mesh_rows`. What a mesh of many vertices needs is compiled with it:
+    the first mesh of a node has four.
+    """
+    none, rows = np.empty((0, 3)), np.empty(0, np.int64)
+    mesh = PlacedMesh(NO_HULL, NO_REACHES, np.empty(0), np.empty(0))
+    form = _empty_form(0, 3)
+    code = entry_point(mesh_rows, mesh, rows, none, none, form, alongside=reaches_entry)
+    reaches_entry()
+    return code
+
+
 def _place_meshes(shapes: Shapes, form: Canonical) -> None:
     """What rows of kind MESH have that others have not."""
     is_mesh = (shapes.kind == MESH) & ((form.faults == FINE) | (form.faults == TOO_LARGE))
-    meshes_of_rows: Any = np.full(len(shapes.kind), None) if shapes.mesh is None else shapes.mesh
     rows = np.flatnonzero(is_mesh)
-    once, which = different(meshes_of_rows[rows])
-    sizes = [mesh.size if isinstance(mesh, Mesh) else np.full(3, np.nan) for mesh in once]
-    known = (np.array(sizes).reshape(-1, 3)[which] == shapes.size[rows]).all(axis=1)
-    form.faults[rows[~known]] = NO_MESH
-    rows = rows[known]
-    if not len(rows):
+    if shapes.mesh is None:
+        form.faults[rows] = NO_MESH
         return
-    records = form.records[rows]
-    turns, ndim = rotations(records['orientation']), form.lo.shape[1]
-    meshes, which = different(meshes_of_rows[rows])
-    centres = np.array([mesh.centre for mesh in meshes]).reshape(-1, 3)[which]
-    with np.errstate(over='ignore', invalid='ignore'):
-        low, high = _reaches(meshes, which, turns)
-        records['position'] += turned(turns, centres)
-        position, half = records['position'], records['half']
-        around = np.maximum(turned(np.abs(turns), half), np.maximum(-low, high))
-        spread = np.abs(position) + around
-        leans = records['orientation'][:, :2].any(axis=1)
-        largest = np.maximum(
-            spread[:, :ndim].max(axis=1, initial=0.0),
-            np.where(leans, half.max(axis=1, initial=0.0), 0.0),
-        )
-        pad = largest[:, None] * OUTWARD + LEAST
-        lo, hi = position + low - pad, position + high + pad
-    finite = np.isfinite(lo).all(axis=1) & np.isfinite(hi).all(axis=1)
-    form.faults[rows] = np.where(finite, FINE, TOO_LARGE)
-    form.lo[rows], form.hi[rows] = lo[:, :ndim], hi[:, :ndim]
-    form.records[rows] = records
+    for mesh, some in by_mesh(shapes.mesh, rows):
+        if isinstance(mesh, Mesh):
+            placed = PlacedMesh(mesh.hull, mesh.reaches, mesh.centre, mesh.size)
+            mesh_rows_entry()(placed, some, shapes.position, shapes.size, form)
+        else:
+            form.faults[some] = NO_MESH
+
+
+def by_mesh(
+    meshes: NDArray[np.object_], rows: NDArray[np.int64]
+) -> Iterator[tuple[Any, NDArray[np.int64]]]:
+    """The different meshes of some rows of an array (n,), and which rows have each."""
+    once, which = different(meshes[rows])
+    if len(once) <= 1:
+        yield from zip(once, [rows], strict=False)
+        return
+    order = np.argsort(which, kind='stable')
+    ends = np.searchsorted(which[order], np.arange(1, len(once)))
+    yield from zip(once, np.split(rows[order], ends), strict=True)
 
 
 def different(meshes: NDArray[np.object_]) -> tuple[list[Any], NDArray[np.intp]]:
     """The meshes of an array (n,), each once, and which of them each row has."""
+    given = meshes.tolist()
+    if given and given.count(given[0]) == len(given):  # the rest takes twenty times as long
+        return given[:1], np.zeros(len(given), np.intp)
     keys = np.fromiter(map(id, meshes), np.int64, len(meshes))
     _, first, which = np.unique(keys, return_index=True, return_inverse=True)
     return meshes[first].tolist(), which
-
-
-def _reaches(meshes: list[Mesh], which: NDArray[np.intp], turns: Floats) -> tuple[Floats, Floats]:
-    """Lowest and highest corners (n, 3) of turned meshes, seen from their centres."""
-    low, high = np.empty((2, len(which), 3))
-    order = np.argsort(which, kind='stable')
-    for mesh, group in zip(
-        meshes,
-        np.split(order, np.searchsorted(which[order], np.arange(1, len(meshes)))),
-        strict=True,
-    ):
-        step = max(MOST_PLACES // len(mesh.vertices), 1)
-        for begin in range(0, len(group), step):
-            some = group[begin : begin + step]
-            places = mesh.vertices @ turns[some].swapaxes(1, 2)
-            low[some], high[some] = places.min(axis=1), places.max(axis=1)
-    return low, high

@@ -21,6 +21,7 @@ from ...tree.access import (
     ALL,
     DEEPEST,
     DIRECTION,
+    LARGEST,
     NONE,
     ORIGIN,
     RAY_ROWS,
@@ -48,6 +49,7 @@ from ...tree.access import (
     two_sum,
 )
 from ...tree.compiler import inlined, lean_kernel, stack_array
+from .shape import length
 
 
 class Surface(NamedTuple):
@@ -660,6 +662,8 @@ def closest_between(a, b, c, point, out):
         if apart < best:
             best = apart
             out[0], out[1], out[2] = trial[0], trial[1], trial[2]
+    if best == np.inf:  # the square is beyond the doubles: all corners are as near
+        out[0], out[1], out[2] = a[0], a[1], a[2]
     return best
 
 
@@ -764,7 +768,7 @@ def gap_square(nodes, node, query, limit):
     for axis in range(3):
         gap = max(lo[axis] - query.high[axis], 0.0, query.low[axis] - hi[axis])
         total += gap * gap
-    return total if total <= limit else np.inf
+    return min(total, LARGEST) if total <= limit else np.inf
 
 
 @inlined
@@ -792,15 +796,33 @@ def visit_near(near_by, surface, query, best, limit, plane, look_at):
         count, limit = look_at(near_by, query, np.int64(2 * face), 0.0, best, count, limit)
 
 
+FAR = 2.0**300  # m: no surface reaches as far by 59 decades, and products of lengths are finite
+
+
 @lean_kernel
 def closest_on_surface(surface, point, out):
-    """Fill in the closest point of a surface; return the distance."""
+    """Fill in the closest point of a surface; return the distance.
+
+    A point beyond FAR is moved towards the surface for the search: which point is closest depends
+    on the direction alone there.
+    """
     best, towards = stack_array(1, np.float64), stack_array(4, np.float64)
+    place, largest = stack_array(3, np.float64), 0.0
+    for axis in range(3):
+        place[axis] = point[axis]
+        largest = max(largest, abs(point[axis]))
+    if largest > FAR:
+        for axis in range(3):
+            place[axis] = point[axis] / largest * FAR
     best[0] = towards[3] = np.inf
     towards[0] = towards[1] = towards[2] = 0.0
-    query = Near(point, point, 1, np.inf, ALL)
+    query = Near(place, place, 1, np.inf, ALL)
     near_by = NearestPoint(surface, out, towards)
     plane = stack_array(4, np.float32)
     no_plane32(plane)
     visit_near(near_by, surface, query, best, np.inf, plane, _look_at_triangle)
-    return math.sqrt(best[0])
+    if largest <= FAR:
+        return math.sqrt(best[0])
+    for axis in range(3):
+        place[axis] = point[axis] - out[axis]
+    return length(place)

@@ -379,3 +379,29 @@ def test_one_that_moves():
     scene.update('test', ['ring'], ring_shape, stamp=0, velocities=[[1, 0, 0]])
     still = scene_of(Shapes.of_meshes(Mesh(SOLIDS['ring'] / 8.0), [2, 0, 0]))
     assert_same_at(scene, 2 * 10**9, still)
+
+
+@pytest.mark.parametrize('planar', [False, True])
+@pytest.mark.parametrize('decade', [100, 155, 307])
+@pytest.mark.parametrize('solid', [None, False])
+def test_what_reaches_a_mesh_from_beyond_all_squares_touches_it(solid, decade, planar):
+    """From there the mesh, 3 km across, is no larger than what rounds a distance."""
+    triangles, far = ring(9, 5, 1609), 10.0**decade
+    scene = scene_of(Shapes.of_meshes([Mesh(triangles, solid=solid)], [[5, 6, 7]]), planar)
+    turn = Rotation.from_euler('zyx', (0.7, 0.0 if planar else 0.4, 0.0)).as_quat()
+    for way in (*np.eye(3)[: 2 if planar else 3], np.array([-1.0, 0.0, 0.0])):
+        point = way * far
+        cube = Shapes.boxes([point], 0.1 * far, [turn])  # which reaches 0.05 to 0.087 far
+        for reach, tolerance, touches in ((0.99, 0.91, False), (1.01, 0.96, True)):
+            reach, tolerance = reach * far, tolerance * far
+            ball = Shapes.spheres([point], reach)
+            assert bool(scene.overlap(point, point, tolerance=reach)) == touches
+            assert bool(scene.overlap_shape(ball)) == touches
+            assert bool(scene.overlap_shape(cube, tolerance)) == touches
+        (nearest,) = scene.nearest(point)
+        assert np.isclose(nearest.t, far, rtol=1e-12)
+        assert np.linalg.norm(nearest.point[:2]) < 3000
+        found = scene.clearance_many(Shapes.spheres([point], 0.5 * far))
+        assert np.isclose(found.distances[0], 0.5 * far, rtol=1e-12)
+        found = scene.clearance_many(cube)
+        assert 0.91 * far < found.distances[0] < 0.96 * far

@@ -9,10 +9,11 @@ from decimal import Decimal, localcontext
 import numpy as np
 import pytest
 from scene.distance import contacts
-from scene.reference import bulging, random_shapes
+from scene.reference import bulging, hull_of, random_shapes
 from scipy.spatial.transform import Rotation
 from tree.reference import effort
 
+from bvh_ros.report.scenes import wavy_ring
 from bvh_ros.scene import Mesh, ShapeKind, Shapes
 from bvh_ros.scene.shapes.shape import GEOMETRY, as_shapes, canonicalise, unit_quaternions
 
@@ -115,4 +116,44 @@ def test_bounds_hold_the_exact_shape_and_what_counts_as_touching(ndim):
             largest = max(sizes.max(), np.abs(place[:ndim]).max())
             touching = 2.0**-46 * sizes.max() + 2.0**-51 * largest
             assert min(pads) >= Decimal(touching), (kind, place, turn, body.half)
-            assert max(pads) <= Decimal(2.0**-43 * largest)
+            many = body.mesh is not None and len(body.mesh.vertices) > 64
+            assert max(pads) <= Decimal((2.0**-4 if many else 2.0**-43) * largest)
+
+
+def rod(rng, count=100):
+    """A thin prism through the origin that leans, of so many corners, seen from its tip."""
+    angle = np.arange(count) * (2 * np.pi / count)
+    rim = np.stack([0.01 * np.cos(angle), 0.01 * np.sin(angle), 0 * angle], axis=1)
+    turn = Rotation.random(random_state=rng).apply
+    return hull_of(turn(np.concatenate([rim, rim + np.array([0, 0, 3])])))
+
+
+@pytest.mark.parametrize('decade', [-25, 0, 25])
+@pytest.mark.parametrize('name', ['ring', 'bulging', 'rod'])
+def test_bounds_of_many_vertices_hold_them_and_are_close(name, decade):
+    """In 50 digits. Along the mesh's own axes they are as tight as those of few vertices."""
+    rng = np.random.default_rng(len(name) + decade + 30)
+    if name == 'ring':
+        places, faces = wavy_ring(14, 8)
+        triangles = (places + np.array([0.3, 9.0, -2.0]))[faces]
+    else:
+        triangles = bulging(rng, 120) if name == 'bulging' else rod(rng)
+    mesh = Mesh(triangles * 10.0**decade)
+    assert len(mesh.vertices) > 64
+    places = contacts.decimals(mesh.vertices).reshape(-1, 3)
+    farthest = np.linalg.norm(mesh.vertices, axis=1).max()
+    for number in range(effort(20, 300)):
+        turn = unit_quaternions(rng.normal(size=(1, 4)))
+        if number % 4 == 0:
+            turn = unit_quaternions(np.array([COMPONENTS[rng.integers(len(COMPONENTS))]], float))
+        form = canonicalise(as_shapes(Shapes.of_meshes([mesh], [[0, 0, 0]], turn)))
+        with localcontext() as context:
+            context.prec = contacts.DIGITS
+            matrix = contacts.matrix(form.records['orientation'][0])
+            centre = contacts.decimals(form.records['position'][0])
+            found = places @ matrix.T + centre
+            low = found.min(axis=0) - contacts.decimals(form.lo[0])
+            high = contacts.decimals(form.hi[0]) - found.max(axis=0)
+            spare = float(max(*low, *high))
+            assert min(*low, *high) >= Decimal(2.0**-46 * farthest)
+        assert spare <= (2.0**-42 if number % 4 == 0 else 2.0**-4) * 2 * farthest
