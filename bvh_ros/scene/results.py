@@ -56,7 +56,7 @@ class SceneHit(_Hit):
 
     As a tuple it has six fields, name to stamp. A thin ray that enters a mesh meets a triangle,
     too. Any other hit has none: that of another shape, of a swept ball, of an overlap or a nearest
-    obstacle, of a ray that starts in the solid, and every hit in a planar scene.
+    obstacle, of a ray that starts on a triangle or in the solid, and every hit in a planar scene.
     """
 
     _triangle: Floats | None = None  # row, u and v of the triangle; None: there is none

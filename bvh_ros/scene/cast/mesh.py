@@ -3,8 +3,8 @@
 """Rays and balls against one mesh in its own frame.
 
 A thin ray enters a mesh by the first triangle that it crosses from its origin on; or at once, if
-the mesh is solid and holds the origin. The ray is that of the caller in the frame of the mesh,
-with a direction of any length: where the mesh is not turned, and lies at the world's origin,
+its origin is on a triangle, or in the solid. The ray is that of the caller in the frame of the
+mesh, with a direction of any length: where the mesh is not turned, and lies at the world's origin,
 nothing is rounded before the decision.
 
 A ball touches a convex mesh where GJK says so, any other one where it first touches a triangle.
@@ -87,7 +87,11 @@ def enter_triangles(surface, is_solid, shape, pair, t_max):
     if not begin <= reach:
         return np.inf, ROUND
     s, face = first_crossing(surface, ray, reach - begin)
-    return (min(math.ldexp(begin + s, exponent), t_max) if s < np.inf else np.inf), FACE + face
+    if s == np.inf:
+        return np.inf, ROUND
+    if begin + s == 0.0:  # exactly
+        return 0.0, np.int64(INSIDE)
+    return min(math.ldexp(begin + s, exponent), t_max), FACE + face
 
 
 MINUTE = 2.0**-200

@@ -197,7 +197,8 @@ def is_first(surface, ray, rays, row, face, best):
         or is_before(surface, line, (crossing.s, np.int64(face)), (best[1], best[0]))
     )
     if first:
-        first = is_within(surface.vertices, corner, origin, direction, crossing, rays.ends[row, 2])
+        reach = rays.ends[row, 2]
+        first = is_within(surface.vertices, corner, *line, crossing, reach)
     return first, crossing.s, np.int64(INSIDE)
 
 
@@ -219,6 +220,18 @@ def set_row(rays, row, ray):
         start, end = rays.origins[row, axis], rays.directions[row, axis]
         ray[ORIGIN, axis] = start
         ray[DIRECTION, axis] = end - start if rays.to_goals else end
+
+
+@inlined
+def take_entry(world, rays, room, k, entry, t_max):
+    """`take` where line k enters a triangle: (place, slot of the obstacle, s, row)."""
+    place, slot, s, face = entry
+    if room.ends[k, 1] + s == 0.0:  # exactly: the triangle holds the ray's origin
+        if not rays.skip_inside:
+            take(world, room.others, place, Hit(slot, 0.0, np.int64(INSIDE)))
+    else:
+        t = min(math.ldexp(room.ends[k, 1] + s, int(room.ends[k, 0])), t_max)
+        take(world, room.others, place, Hit(slot, t, FACE + face))
 
 
 @lean_kernel
@@ -261,8 +274,7 @@ def cast_at_mesh(world, rays, start, begin, end, room):
         else:
             s, face = first_crossing(surface, ray, reach - first)
             if face != NONE:
-                t = min(math.ldexp(first + s, exponent), t_max)
-                take(world, room.others, place, Hit(slot, t, FACE + face))
+                take_entry(world, rays, room, k, (place, slot, s, face), t_max)
     tally[FOUND] = 0
     if alive == 0:
         return
@@ -271,9 +283,8 @@ def cast_at_mesh(world, rays, start, begin, end, room):
     traverse(wide, surface, group, lines, stream, tally, fetch_face, is_first)
     for k in stream.found[: tally[FOUND]]:
         place, best = room.pairs[begin + k] & 0xFFFFFFFF, stream.records[k]
-        s = math.ldexp(room.ends[k, 1] + best.best_t, int(room.ends[k, 0]))
-        t = min(s, of_row(rays.t_max, start + place))
-        take(world, room.others, place, Hit(slot, t, FACE + np.int64(best.slot)))
+        entry = place, slot, best.best_t, np.int64(best.slot)
+        take_entry(world, rays, room, k, entry, of_row(rays.t_max, start + place))
 
 
 # ---- a batch

@@ -85,7 +85,13 @@ def _refuse_many(count: int, most: int) -> None:
 
 
 def _floats(texts: Iterable[bytes]) -> Floats:
-    return np.fromiter(map(float, texts), np.float64)
+    return np.fromiter(map(_float, texts), np.float64)
+
+
+def _float(text: bytes) -> float:
+    if b'_' in text:  # Python reads 1_0 as 10
+        raise ValueError(f'{text!r} is no number')
+    return float(text)
 
 
 def _triangles(vertices: Floats, polygons: Sequence[Sequence[int]], most: int) -> Floats:
@@ -113,6 +119,7 @@ FACET_TEXT = re.compile(
     + rb'\s+endloop\s+endfacet\b',
     re.IGNORECASE,
 )
+BETWEEN_FACETS = re.compile(rb'^[ \t]*(end)?solid\b.*$', re.MULTILINE | re.IGNORECASE)
 
 
 def _read_stl(data: bytes, most: int) -> Floats:
@@ -134,12 +141,18 @@ def _read_stl(data: bytes, most: int) -> Floats:
             f'{starts[b"facet"]:,} facets begin and {len(found):,} can be read; '
             f'{starts[b"solid"]} solids begin and {starts[b"endsolid"]} end'
         )
+    if rest := BETWEEN_FACETS.sub(b'', FACET_TEXT.sub(b'', data)).split():
+        raise ValueError(f'{rest[0]!r} stands between the facets')
     return _floats(chain.from_iterable(found)).reshape(-1, 3, 3)
 
 
 # ---- OBJ
 
-FREE_FORM = {'curv', 'curv2', 'surf', 'bmat', 'cstype', 'deg', 'call', 'csh'}
+# No polygons, and nothing that changes them: names, materials, texture, lines and points.
+NO_POLYGONS = {
+    *('vt', 'vn', 'vp', 'l', 'p', 'g', 'o', 's', 'mg', 'usemtl', 'mtllib', 'usemap', 'maplib'),
+    *('bevel', 'c_interp', 'd_interp', 'lod', 'shadow_obj', 'trace_obj'),
+}
 
 
 def _read_obj(data: bytes, most: int) -> Floats:
@@ -150,6 +163,8 @@ def _read_obj(data: bytes, most: int) -> Floats:
     for number, line in enumerate(text.replace('\\\n', ' ').split('\n'), 1):
         key, *words = line.partition('#')[0].split() or ['']
         try:
+            if key in ('v', 'f', 'fo') and '_' in line.partition('#')[0]:
+                raise ValueError('a number has an underscore')  # Python reads 1_0 as 10
             if key == 'v':
                 vertices.append([float(word) for word in words[:3]])
                 if len(words) < 3:
@@ -158,8 +173,8 @@ def _read_obj(data: bytes, most: int) -> Floats:
                 polygons.append([_obj_row(word, len(vertices)) for word in words])
                 count += len(words) - 2
                 _refuse_many(count, most)
-            elif key in FREE_FORM:
-                raise ValueError(f'{key} is not a polygon')
+            elif key and key not in NO_POLYGONS:
+                raise ValueError(f'{key[:40]} is not understood')
         except ValueError as error:
             raise ValueError(f'statement {number}: {error}') from None
     return _triangles(np.array(vertices, np.float64).reshape(-1, 3), polygons, most)
@@ -185,7 +200,9 @@ PLY_TYPES = (
     | dict.fromkeys(('float', 'float32'), 'f4')
     | dict.fromkeys(('double', 'float64'), 'f8')
 )
-BYTE_ORDERS = {'ascii': '', 'binary_little_endian': '<', 'binary_big_endian': '>'}
+VERTEX_LISTS = {'vertex_indices', 'vertex_index'}
+END_OF_HEADER = re.compile(rb'^end_header[ \t]*\r?\n', re.MULTILINE)
+BYTE_ORDERS = {'ascii 1.0': '', 'binary_little_endian 1.0': '<', 'binary_big_endian 1.0': '>'}
 
 
 class _Property(NamedTuple):
@@ -232,27 +249,31 @@ class _Numbers:
 
 
 def _read_ply(data: bytes, most: int) -> Floats:
-    head, end, body = data.partition(b'end_header')
-    lines = [line.split() for line in head.decode('ascii', 'replace').splitlines()]
+    end = END_OF_HEADER.search(data)
+    head = data[: end.start() if end else 0].decode('ascii', 'replace')
+    lines = [line.split() for line in head.splitlines()]
     if not end or len(lines) < 2 or lines[0] != ['ply'] or lines[1][:1] != ['format']:
         raise ValueError('it does not begin as a PLY file')
-    if lines[1][1] not in BYTE_ORDERS:
-        raise ValueError(f'its format is {lines[1][1]}')
+    order = BYTE_ORDERS.get(' '.join(lines[1][1:]))
+    if order is None:
+        raise ValueError(f'its format is {" ".join(lines[1][1:])[:80]}')
     elements = _ply_elements(lines[2:])
     if 'tristrips' in (element.name for element in elements):
         raise ValueError('its triangles are strips')
-    numbers = _Numbers(body.partition(b'\n')[2], BYTE_ORDERS[lines[1][1]])
+    numbers = _Numbers(data[end.end() :], order)
     places, polygons = np.empty((0, 3)), []
     for element in elements:
         if element.name == 'face':
             _refuse_many(element.rows, most)
         columns = _ply_columns(numbers, element)
         if element.name == 'vertex':
+            if not {'x', 'y', 'z'} <= {one.name for one in element.properties if not one.length}:
+                raise ValueError('its vertices need a number each for x, y and z')
             places = np.column_stack([np.asarray(columns[axis], np.float64) for axis in 'xyz'])
         elif element.name == 'face':
-            names = columns.keys() & {'vertex_indices', 'vertex_index'}
+            names = VERTEX_LISTS & {one.name for one in element.properties if one.length}
             if len(names) != 1:
-                raise ValueError('its faces have no vertex_indices')
+                raise ValueError('its faces need one list, vertex_indices or vertex_index')
             polygons = [[_whole(x) for x in row.tolist()] for row in columns[names.pop()]]
     numbers.refuse_rest()
     return _triangles(places, polygons, most)
@@ -264,17 +285,36 @@ def _ply_elements(lines: Iterable[Sequence[str]]) -> list[_Element]:
         match words:
             case ['element', name, rows]:
                 elements.append(_Element(name, int(rows), []))
-            case ['property', 'list', length, kind, name] if elements:
-                elements[-1].properties.append(_Property(name, PLY_TYPES[kind], PLY_TYPES[length]))
-            case ['property', kind, name] if elements:
-                elements[-1].properties.append(_Property(name, PLY_TYPES[kind], ''))
+            case ['property', *types, name] if elements and (column := _ply_types(types)):
+                elements[-1].properties.append(_Property(name, *column))
             case [] | ['comment' | 'obj_info', *_]:
                 pass
             case _:
                 raise ValueError(f'its header says {" ".join(words)[:80]}')
         if elements and elements[-1].rows < 0:
             raise ValueError(f'it has {elements[-1].rows} rows of {elements[-1].name}')
+    _refuse_twice([element.name for element in elements])
+    for element in elements:
+        _refuse_twice([column.name for column in element.properties])
     return elements
+
+
+def _refuse_twice(names: Sequence[str]) -> None:
+    seen: set[str] = set()
+    for name in names:
+        if name in seen:
+            raise ValueError(f'its header has {name[:80]} twice')
+        seen.add(name)
+
+
+def _ply_types(words: Sequence[str]) -> tuple[str, str] | None:
+    """(type, type of the lengths) of a property; None if it has another one."""
+    match words:
+        case ['list', length, kind] if {length, kind} <= PLY_TYPES.keys():
+            return PLY_TYPES[kind], PLY_TYPES[length]
+        case [kind] if kind in PLY_TYPES:
+            return PLY_TYPES[kind], ''
+    return None
 
 
 def _whole(number: float) -> int:

@@ -40,7 +40,6 @@ from ...tree.access import (
     pruning_limit,
     push_root,
     set_ray,
-    sign_of_four_products,
     square32,
     start_ray,
     surround,
@@ -162,8 +161,9 @@ class Crossing(NamedTuple):
     """Where a line crosses a triangle."""
 
     s: Any
-    """How far from its origin, in units of its direction; inf if it crosses the triangle nowhere,
-    or only before the origin. In the plane of the triangle: where it enters it."""
+    """How far from its origin, in units of its direction; exactly 0 if the triangle holds that;
+    inf if the line crosses the triangle nowhere, or only before the origin. In the plane of the
+    triangle: where it enters it."""
     sign: Any
     """-1 before the origin, 0 at it, 1 after it."""
     is_clear: Any
@@ -226,7 +226,7 @@ def cross_in_doubt(a, b, c, origin, direction, zero):
     sign = side(origin, b, c, a, origin)
     sign = sign if total > 0.0 else -sign
     sign = 0.0 if sign == 0.0 else math.copysign(1.0, sign)
-    s = 0.0 if sign == 0.0 else math.copysign(s, sign)
+    s = 0.0 if sign == 0.0 else math.copysign(max(abs(s), LEAST), sign)
     return Crossing(s, sign, u != 0.0 and v != 0.0 and w != 0.0)
 
 
@@ -254,7 +254,7 @@ CLOSE = 2.0**-40  # of a distance: far more than what rounds it
 
 
 @lean_kernel
-def is_within(vertices, corner, origin, direction, crossing, reach):
+def is_within(vertices, corner, origin, direction, zero, crossing, reach):
     """Whether a line crosses a triangle from its origin on up to a distance, exactly."""
     if crossing.sign < 0.0 or np.isinf(reach) or abs(crossing.s - reach) > CLOSE * reach:
         return crossing.sign >= 0.0 and crossing.s <= reach
@@ -262,54 +262,47 @@ def is_within(vertices, corner, origin, direction, crossing, reach):
     # The plane is met at s = (a - origin) . normal / direction . normal.
     height = exact_side(a, b, c, a, origin, 0.0, direction)
     left = exact_side(a, b, c, a, origin, reach, direction)
+    if left == 0.0 and height == 0.0 and reach > 0.0:  # the line runs in the plane
+        return enter_within_plane(a, b, c, origin, direction, zero, reach) < np.inf
     return left == 0.0 or left != height
 
 
 @lean_kernel
 def cross_within_plane(a, b, c, origin, direction, zero):
     """The `Crossing` of a line that runs in the plane of a triangle: where it enters it."""
-    normal, sides, along = (
-        stack_array(3, np.float64),
-        stack_array(3, np.float64),
-        stack_array(3, np.float64),
-    )
-    widest, square = 0, 0.0
+    s = enter_within_plane(a, b, c, origin, direction, zero, np.inf)
+    return misses() if s == np.inf else Crossing(s, 0.0 if s == 0.0 else 1.0, False)
+
+
+@lean_kernel
+def enter_within_plane(a, b, c, origin, direction, zero, reach):
+    """`enter_flat` of such a line, in the coordinates in which the triangle looks largest."""
+    places, line = stack_array((3, 2), np.float64), stack_array((2, 2), np.float64)
+    corner, along = stack_array(3, np.int32), stack_array(3, np.float64)
+    widest, largest = 0, -1.0
     for axis in range(3):
-        y, z = (axis + 1) % 3, (axis + 2) % 3
-        normal[axis] = (b[y] - a[y]) * (c[z] - a[z]) - (b[z] - a[z]) * (c[y] - a[y])
-        if abs(normal[axis]) > abs(normal[widest]):
-            widest = axis
-        square += direction[axis] * direction[axis]
-    y, z = (widest + 1) % 3, (widest + 2) % 3
+        fill_places(places, line, a, b, c, origin, direction, axis)
+        area = flat_cross(places[1], places[0], 0.0, zero, places[0], places[2])
+        if abs(area) > largest:
+            widest, largest = axis, abs(area)
+    fill_places(places, line, a, b, c, origin, direction, widest)
+    square = direction[0] ** 2 + direction[1] ** 2 + direction[2] ** 2
     for number in range(3):
         place = a if number == 0 else (b if number == 1 else c)
-        sides[number] = sign_of_four_products(
-            *(direction[y], place[z], -direction[y], origin[z]),
-            *(-direction[z], place[y], direction[z], origin[y]),
-        )
-        along[number] = 0.0
+        corner[number], along[number] = number, 0.0
         for axis in range(3):
             along[number] += (place[axis] - origin[axis]) * direction[axis]
         along[number] /= square
-    if sides[0] * sides[1] > 0.0 and sides[1] * sides[2] > 0.0:
-        return misses()
-    first, last = np.inf, -np.inf
-    for number in range(3):
-        following = (number + 1) % 3
-        one, other = sides[number], sides[following]
-        s = along[number]
-        if one * other < 0.0:
-            place = a if number == 0 else (b if number == 1 else c)
-            end = b if number == 0 else (c if number == 1 else a)
-            before = direction[y] * (place[z] - origin[z]) - direction[z] * (place[y] - origin[y])
-            after = direction[y] * (end[z] - origin[z]) - direction[z] * (end[y] - origin[y])
-            share = before / (before - after) if before != after else 0.5
-            s += (along[following] - s) * min(max(share, 0.0), 1.0)
-        elif one != 0.0:
-            continue
-        first, last = min(first, s), max(last, s)
-    sign = 1.0 if first > 0.0 else (0.0 if last >= 0.0 else -1.0)
-    return Crossing(max(first, 0.0) if last >= 0.0 else last, sign, False)
+    return enter_along(places, corner, line[0], line[1], zero, along, reach)
+
+
+@inlined
+def fill_places(places, line, a, b, c, origin, direction, axis):
+    """Fill in the corners of a triangle, origin and direction of a line, seen along an axis."""
+    for number in range(2):
+        other = (axis + 1 + number) % 3
+        places[0, number], places[1, number], places[2, number] = a[other], b[other], c[other]
+        line[0, number], line[1, number] = origin[other], direction[other]
 
 
 # ---- where a line crosses a triangle, both at z = 0: seen from above
@@ -356,14 +349,22 @@ def enter_flat(vertices, corner, origin, direction, zero, reach):
     It is where corners of the triangle change sides. They have the same sides in all triangles, so
     nothing slips between two; and a triangle without area is a segment.
     """
-    sides, along = stack_array(3, np.float64), stack_array(3, np.float64)
-    across, square = stack_array(3, np.float64), direction[0] ** 2 + direction[1] ** 2
+    along, square = stack_array(3, np.float64), direction[0] ** 2 + direction[1] ** 2
+    for number in range(3):
+        place = vertices[corner[number]]
+        x, y = place[0] - origin[0], place[1] - origin[1]
+        along[number] = (x * direction[0] + y * direction[1]) / square
+    return enter_along(vertices, corner, origin, direction, zero, along, reach)
+
+
+@lean_kernel
+def enter_along(vertices, corner, origin, direction, zero, along, reach):
+    """`enter_flat`, where it is known how far `along` the line each corner is, up to rounding."""
+    sides, across = stack_array(3, np.float64), stack_array(3, np.float64)
     across[0], across[1] = -direction[1], direction[0]
     for number in range(3):
         place = vertices[corner[number]]
         sides[number] = flat_cross(place, origin, 0.0, direction, zero, direction)
-        x, y = place[0] - origin[0], place[1] - origin[1]
-        along[number] = (x * direction[0] + y * direction[1]) / square
     if min(sides[0], sides[1], sides[2]) > 0.0 or max(sides[0], sides[1], sides[2]) < 0.0:
         return np.inf
     first, before, after, within = np.inf, False, False, np.isinf(reach)
@@ -460,7 +461,7 @@ def _visit_first(surface, ray, face, zero, found):
     corner = surface.corners[face]
     crossing = cross_triangle(surface.vertices, corner, ray[ORIGIN], ray[DIRECTION], zero)
     within = is_within(
-        surface.vertices, corner, ray[ORIGIN], ray[DIRECTION], crossing, found.reach
+        surface.vertices, corner, ray[ORIGIN], ray[DIRECTION], zero, crossing, found.reach
     )
     if within and crossing.s < np.inf:
         line = ray[ORIGIN], ray[DIRECTION], zero

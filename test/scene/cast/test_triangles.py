@@ -76,6 +76,18 @@ def first_triangles(triangles, starts, ways):
     return found
 
 
+def on_surface(triangles, points):
+    """Whether integer points (n, 3) lie on triangles, exactly."""
+    normals = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+    *_, height = determinants(triangles, points, np.ones_like(points))
+    found = np.zeros(len(points), bool)
+    for row, face in zip(*np.nonzero(height == 0), strict=True):
+        away = triangles[face] - points[row]
+        sides = [np.cross(away[k], away[(k + 1) % 3]) @ normals[face] for k in range(3)]
+        found[row] |= min(sides) >= 0
+    return found
+
+
 def places(triangles, rows, uv):
     """The points (n, 3) that rows and uv (n, 2) of triangles mean."""
     a, b, c = np.moveaxis(triangles[rows], 1, 0)
@@ -113,7 +125,9 @@ def test_the_first_triangle_is_exact_and_the_lowest_row_of_several(name, power):
         hits = scene_of(Shapes.of_meshes(mesh, [0, 0, 0])).raycast_many(
             starts * unit, (goals - starts) * unit, 1.0
         )
-        inside = holds(triangles[real], starts, rng) if mesh.solid else np.zeros(len(starts), bool)
+        inside = on_surface(triangles[real], starts)
+        if mesh.solid:
+            inside |= holds(triangles[real], starts, rng)
         for triangle, is_inside, tied in zip(hits.triangles, inside, wanted, strict=True):
             assert triangle in ([-1] if is_inside else tied)
         assert (hits.triangles >= 0).sum() > 50

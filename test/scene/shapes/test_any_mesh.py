@@ -174,6 +174,64 @@ def test_rays_are_exact(name, power):
         assert (np.inf if one is None else one.t) == found[0]
 
 
+@pytest.mark.parametrize('spare', [0, 200])
+@pytest.mark.parametrize('power', [-20, 0, 20])
+def test_a_ray_in_the_plane_of_a_triangle_touches_its_edges_exactly(power, spare):
+    """It begins, or ends, on an edge of the only triangle, and is beside it else. The other
+    triangles are far away: with them the mesh has a snapshot.
+    """
+    rng, unit = np.random.default_rng(power + spare + 99), 2.0**power
+    far = rng.integers(500, 520, (spare, 3, 3))
+    far = far[np.cross(*np.diff(far, axis=1).swapaxes(0, 1)).any(axis=1)]
+    met, count = 0, 0
+    while count < 25:
+        axes, at = rng.integers(-5, 6, (2, 3)), rng.integers(-9, 10, 3)
+        step, third = rng.integers(-4, 5, (2, 2))
+        ways = rng.integers(-9, 10, (80, 2))
+        side = step[0] * third[1] - step[1] * third[0]
+        beside = side * (step[0] * ways[:, 1] - step[1] * ways[:, 0]) < 0
+        if not (np.cross(*axes).any() and side and beside.any()):
+            continue
+        count += 1
+        corners = at + np.array([(0, 0), 7 * step, third]) @ axes
+        mesh = Mesh(np.concatenate((corners[None], far)) * unit)
+        scene = scene_of(Shapes.of_meshes(mesh, [0, 0, 0]))
+        ways = (ways[beside] @ axes) * unit
+        places = (at + rng.integers(0, 8, (len(ways), 1)) * (step @ axes)) * unit
+        for begins, way, limit in ((places, ways, 1.0), (places + 3.0 * ways, -ways, 3.0)):
+            hits = scene.raycast_many(begins, way, limit)
+            assert hits.t == pytest.approx(np.full(len(ways), 0.0 if limit == 1.0 else 3.0))
+            assert (hits.t <= limit).all()
+            one = scene.raycast(begins[0], begins[0] + limit * way[0])
+            assert one.t == pytest.approx(hits.t[0] / limit)
+        for hits in (
+            scene.raycast_many(places + 3.0 * ways, -ways, np.nextafter(3.0, 0.0)),
+            scene.raycast_many(places, ways, skip_inside=True),
+        ):
+            assert np.isinf(hits.t).all()
+        met += len(ways)
+    assert met > 300
+
+
+@pytest.mark.parametrize('name', [*SOLIDS, *SURFACES])
+def test_a_ray_from_a_surface_begins_in_the_obstacle(name):
+    """As from a box: t is 0, without a normal or a triangle, and `skip_inside` leaves it out."""
+    rng, triangles = np.random.default_rng(4), 4 * (SOLIDS | SURFACES)[name]
+    scene = scene_of(Shapes.of_meshes(Mesh(triangles, solid=False), [0, 0, 0]))
+    a, b, c = triangles[rng.integers(0, len(triangles), 200)].swapaxes(0, 1)
+    places = np.concatenate((a, (a + b) // 2, (2 * a + b + c) // 4))
+    ways = rng.integers(-9, 10, places.shape)
+    hits = scene.raycast_many(places, ways)
+    assert not hits.t.any()
+    assert not hits.normals.any()
+    assert (hits.triangles == -1).all()
+    assert np.isinf(scene.raycast_many(places, ways, skip_inside=True).t).all()
+    one = scene.raycast(places[0], places[0] + ways[0])
+    assert (one.t, one.triangle, one.normal.any()) == (0.0, -1, False)
+    assert scene.raycast(places[0], places[0] + ways[0], skip_inside=True) is None
+    assert scene.raycast(places[0], places[0]).triangle == -1
+
+
 def test_what_a_mesh_says_of_itself():
     ball, shell = Mesh(icosphere(2)), Mesh(icosphere(2), solid=False)
     assert (ball.convex, ball.closed, ball.solid) == (True, True, True)

@@ -107,7 +107,7 @@ def test_statements_of_an_obj_file(lines):
 
 
 def ply(elements, body, kind='ascii'):
-    head = ['ply', f'format {kind} 1.0', 'comment of nobody']
+    head = ['ply', f'format {kind} 1.0', 'comment of nobody, no end_header']
     for name, count, properties in elements:
         head += [f'element {name} {count}', *(f'property {one}' for one in properties)]
     return '\n'.join([*head, 'end_header', '']).encode() + body
@@ -272,14 +272,20 @@ BAD = {
     'words': (TEXT_STL.format(*'1x2').encode(), 'stl', 'could not convert'),
     'no end': (TEXT_STL.format(1, 2, 3)[:-8].encode(), 'stl', '1 solids begin and 0 end'),
     'four corners': (TEXT_STL.replace('0 {}', '0 {} 1').encode(), 'stl', '1 facets begin and 0'),
-    'no statement': (b'\xff\xfe\x00', 'obj', 'no triangles'),
+    'no statement': (b'\xff\xfe\x00', 'obj', 'is not understood'),
     'vertex 0': (obj(*square(), 'f 0 1 2'), 'obj', 'statement 5: .* from 1'),
     'beyond': (obj(*square(), 'f 1 2 5'), 'obj', 'polygon 0 names vertices beyond the 4'),
     'before': (obj(*square(), 'f 1 2 -5'), 'obj', 'polygon 0 names'),
     'two corners': (obj(*square(), 'f 1 2'), 'obj', 'polygon 0 has 2 corners'),
     'no number': (obj(*square(), 'v 1 2 a'), 'obj', 'statement 5: could not convert'),
     'two numbers': (obj(*square(), 'v 1 2'), 'obj', 'three coordinates'),
-    'curved': (obj(*square(), 'surf 0 1 0 1 1 2 3'), 'obj', 'surf is not a polygon'),
+    'curved': (obj(*square(), 'surf 0 1 0 1 1 2 3'), 'obj', 'surf is not understood'),
+    'no face': (obj(*square(), 'F 1 2 3', 'f 1 2 3'), 'obj', 'statement 5: F is not understood'),
+    'python': (obj(*square(), 'v 1_0 0 0', 'f 1 2 3'), 'obj', 'statement 5: .* underscore'),
+    'python stl': (TEXT_STL.format('1_0', 2, 3).encode(), 'stl', 'is no number'),
+    'misspelt': (TEXT_STL.format(1, 2, 3).replace('\nfacet', '\nfacets\nfacet').encode(), 'stl',
+                 "b'facets' stands between"),
+    'after the end': (TEXT_STL.format(1, 2, 3).encode() + b'\nlater', 'stl', "b'later' stands"),
     'many vertices': (ply([('vertex', 10**15, ['float x'])], b'0', 'binary_little_endian'), 'ply',
                       'ends before'),
     'many faces': (ply([SOUP[0], ('face', 10**15, SOUP[1][2])], b'0 ' * 9), 'ply', 'more than'),
@@ -289,7 +295,16 @@ BAD = {
     'minus rows': (ply([('vertex', -3, ['float x'])], b''), 'ply', '-3 rows'),
     'strips': (ply([('tristrips', 1, ['list int int vertex_indices'])], b'1 0'), 'ply', 'strips'),
     'nameless': (ply([SOUP[0], ('face', 1, ['list uchar int x'])], b'0 ' * 10), 'ply', 'faces'),
-    'type': (ply([('vertex', 1, ['quad x'])], b'0'), 'ply', 'PLY: KeyError'),
+    'no list of corners': (ply([SOUP[0], ('face', 1, ['int vertex_index'])], b'0 ' * 10), 'ply',
+                           'its faces need one list'),
+    'faces twice': (ply([*SOUP, SOUP[1]], b'0 ' * 9 + b'3 0 1 2 3 0 1 2'), 'ply',
+                    'has face twice'),
+    'x twice': (ply([('vertex', 1, ['int x', 'int x'])], b'0 1'), 'ply', 'header has x twice'),
+    'no z': (ply([('vertex', 1, ['int x', 'int y'])], b'0 1'), 'ply', 'for x, y and z'),
+    'lists of x': (ply([('vertex', 1, ['list int int x', 'int y', 'int z'])], b'1 0 0 0'), 'ply',
+                   'for x, y and z'),
+    'version': (ply(SOUP, b'0 ' * 9 + b'3 0 1 2').replace(b'1.0', b'2.0'), 'ply', 'ascii 2.0'),
+    'type': (ply([('vertex', 1, ['quad x'])], b'0'), 'ply', 'header says property quad x'),
     'a page': (b'<html>', 'ply', 'does not begin'),
     'short': (b'glTF', 'glb', 'does not begin'),
     'length': (square_glb() + b'\0', 'glb', 'bytes, and says'),
