@@ -175,9 +175,9 @@ def test_in_another_frame(world, scene, node):
     path = answered(lambda: client.check_path(local, turned, frame_id='lidar'))
     clear = scene.clearance_many(Shapes.boxes(points, FOOTPRINT), signed=True)
     assert np.allclose(path.distances, clear[1], atol=1e-9)
-    with pytest.raises(BvhError, match='cannot answer'):
+    with pytest.raises(BvhError, match='mars'):
         client.nearest_many(points, frame_id='mars')
-    with pytest.raises(BvhError, match='cannot answer'):
+    with pytest.raises(BvhError, match='mars'):
         client.check_path(points, frame_id='mars')
 
 
@@ -246,7 +246,7 @@ def test_an_incomplete_world(start_node, node):
         lambda: client.check_path([[0, 0, 0]]),
         lambda: client.raycast_many([[0, 0, 0]], [[1, 0, 0]], 1.0, radius=0.1),
     ):
-        with pytest.raises(BvhError, match='cannot answer'):
+        with pytest.raises(BvhError, match='has not spoken yet'):
             ask()
 
 
