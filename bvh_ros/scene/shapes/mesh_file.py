@@ -347,9 +347,15 @@ JSON_CHUNK = 0x4E4F534A
 TRIANGLE_LIST, TRIANGLE_STRIP, TRIANGLE_FAN = 4, 5, 6
 HARMLESS = ('KHR_materials_', 'KHR_texture_', 'EXT_texture_', 'KHR_lights_', 'KHR_xmp')
 NO_TRIANGLES = re.compile(
-    rb'<!(DOCTYPE|ENTITY)|[<:](instance_controller|tristrips|trifans|convex_mesh|spline|brep)\b'
+    rb'<!(DOCTYPE|ENTITY)|[<:](instance_controller|tristrips|trifans|ph|convex_mesh|spline|brep)\b'
 )
-UNIT = re.compile(rb'<(?:\w+:)?unit\b[^>]*?\bmeter\s*=\s*["\']([^"\']*)["\']')
+NO_ELEMENTS = rb'<!--.*?(?:-->|\Z)|<!\[CDATA\[.*?(?:\]\]>|\Z)|<\?.*?(?:\?>|\Z)|'
+UNIT = re.compile(
+    NO_ELEMENTS + rb'<(?:\w+:)?unit\b[^>]*?\bmeter\s*=\s*["\']([^"\']*)["\']', re.DOTALL
+)
+MINUS = re.compile(rb'<(?:\w+:)?(?:p|vcount)\b[^>]*>[^<]*-')
+FLOAT_ARRAY = re.compile(rb'<(?:\w+:)?float_array\b[^>]*>[^<]*')
+NAN = re.compile(rb'(?<=[\s>+-])nan(?=\s|$)', re.IGNORECASE)
 
 
 def _read_glb(data: bytes, most: int) -> Floats:
@@ -366,6 +372,9 @@ def _read_glb(data: bytes, most: int) -> Floats:
 def _not_in_glb(tree: dict[str, Any]) -> str:
     """Why not all triangles of such a file are read; empty if all are."""
     used = {*tree.get('extensionsUsed', ()), *tree.get('extensionsRequired', ())}
+    meshes, nodes = tree.get('meshes', ()), tree.get('nodes', ())
+    for part in (*nodes, *(one for mesh in meshes for one in mesh['primitives'])):
+        used |= part.get('extensions', {}).keys()
     for name in sorted(used):
         if not name.startswith(HARMLESS):
             return f'it uses the extension {name}'
@@ -375,10 +384,12 @@ def _not_in_glb(tree: dict[str, Any]) -> str:
     for number, accessor in enumerate(tree.get('accessors', ())):
         if 'sparse' in accessor or 'bufferView' not in accessor:
             return f'accessor {number} is sparse'
-    for node in tree.get('nodes', ()):
+    for number, node in enumerate(nodes):
+        if 'mesh' in node and not 0 <= node['mesh'] < len(meshes):
+            return f'node {number} has a mesh that is not there'
         if 'skin' in node or ('camera' in node and node.keys() & {'mesh', 'children'}):
             return 'a node has a skin or a camera'
-    for mesh in tree.get('meshes', ()):
+    for mesh in meshes:
         for part in mesh['primitives']:
             mode = part.get('mode', TRIANGLE_LIST)
             if mode >= TRIANGLE_LIST and (mode > TRIANGLE_STRIP or 'targets' in part):
@@ -393,7 +404,9 @@ def _read_dae(data: bytes, most: int) -> Floats:
         raise ValueError('it is no text in UTF-8')
     if found := NO_TRIANGLES.search(data):
         raise ValueError(f'it has {found[0].decode()}')
-    unit = UNIT.search(data)
+    if MINUS.search(data):  # pycollada counts such an index from the end
+        raise ValueError('an index is negative')
+    unit = next((one for one in UNIT.finditer(data) if one[1] is not None), None)
     scale = float(unit[1]) if unit else 1.0
     if not (np.isfinite(scale) and scale > 0.0):
         raise ValueError(f'its unit is {scale} m')
@@ -401,6 +414,8 @@ def _read_dae(data: bytes, most: int) -> Floats:
         import collada  # noqa: F401
     except ImportError as error:
         raise ImportError(f'a DAE file needs pycollada: {GET_IT}') from error
+    # pycollada makes zeros of NaN. Infinity stays, and is refused in a corner.
+    data = FLOAT_ARRAY.sub(lambda one: NAN.sub(b'inf', one[0]), data)
     return _placed('dae', data, most) * scale
 
 
@@ -429,7 +444,8 @@ def _placed(kind: str, data: bytes, most: int) -> Floats:
         vertices = np.asarray(mesh['vertices'], np.float64)
         if faces.size and not 0 <= faces.min() <= faces.max() < len(vertices):
             raise ValueError(f'a triangle names vertices beyond the {len(vertices):,} given')
-        found.append((vertices @ matrix[:3, :3].T + matrix[:3, 3])[faces])
+        with np.errstate(invalid='ignore', over='ignore'):  # what is not finite is refused later
+            found.append((vertices @ matrix[:3, :3].T + matrix[:3, 3])[faces])
     return np.concatenate(found)
 
 

@@ -322,6 +322,11 @@ BAD = {
     'entities': (dae('<!DOCTYPE a [<!ENTITY b "c">]>'), 'dae', 'DOCTYPE'),
     'skinned': (dae(scene='<instance_controller url="#g"/>'), 'dae', 'instance_controller'),
     'nobody': (dae(scene='<instance_geometry url="#x"/>'), 'dae', 'DAE: DaeBrokenRefError'),
+    'no mesh': (square_glb(nodes=[{'mesh': 0}, {'mesh': 1}]), 'glb', 'node 1 has a mesh that'),
+    'undeclared': (square_glb(nodes=[{'mesh': 0, 'extensions': {'EXT_mesh_gpu_instancing': {}}}]),
+                   'glb', 'EXT_mesh_gpu_instancing'),
+    'from the end': (dae().replace(b'0 2 3', b'0 2 -1'), 'dae', 'index is negative'),
+    'holes': (dae().replace(b'<triangles', b'<polygons><ph/></polygons><triangles'), 'dae', '<ph'),
     'unit': (dae(unit='<unit meter="-1"/>'), 'dae', 'unit is -1.0 m'),
     'wide text': (dae().decode().encode('utf-16'), 'dae', 'no text in UTF-8'),
     'cut': (dae()[:-9], 'dae', 'as DAE: DaeMalformedError'),
@@ -336,6 +341,21 @@ def test_what_is_not_sound_is_refused(case, request):
     with pytest.raises(ValueError, match=reason) as caught:
         read(data, kind, 10**9, 10**9)
     assert len(str(caught.value)) < 300
+
+
+@pytest.mark.parametrize('word', ['nan', 'NaN', '-nan', 'INF'])
+def test_a_corner_of_a_dae_file_that_is_no_number(trimesh, tmp_path, word):
+    path = tmp_path / 'a.dae'
+    path.write_bytes(dae().replace(b'count="12">0 ', f'count="12">{word} '.encode()))
+    with pytest.raises(ValueError, match='not finite'):
+        Mesh.from_file(path)
+
+
+def test_a_unit_in_a_comment_counts_for_nothing(trimesh):
+    wanted = read(dae(unit='<unit meter="0.01"/>'), 'dae')
+    for comment in ('<!-- <unit meter="7"/> -->', '<extra><![CDATA[<unit meter="7"/>]]></extra>'):
+        found = read(dae(unit=comment + '<unit meter="0.01"/>'), 'dae')
+        assert np.array_equal(found, wanted)
 
 
 def test_an_archive_that_looks_like_a_dae_file(tmp_path):
