@@ -63,7 +63,7 @@ from .nodes import (
 )
 from .plotting import BLOCKED_COLOUR, CORNERS, EDGES, FREE_COLOUR, PALETTE, SIDES
 from .query.box_queries import boxes_within
-from .query.exact import sign_of_four_products, two_product, two_sum
+from .query.exact import two_product, two_sum
 from .query.nearest import (
     Near,
     PointQueries,
