@@ -78,15 +78,18 @@ class Wide(NamedTuple):
     """0: nothing is added to it."""
 
 
-# ---- exact signs
+# ---- exact signs, and values to the last digits
 
 SURE = 2.0**-49  # of a sum of magnitudes: more than what rounds a determinant
+FINE = 2.0**-10  # of that sum: a larger determinant is right to 2**-39 of itself
 TERMS = 384
 
 
 @lean_kernel
-def sign_of_sum(terms, count):
-    """Sign of the exact sum of the first `count` numbers, which are overwritten."""
+def exact_sum(terms, count):
+    """The sum of the first `count` numbers, which are overwritten: right to a few last digits of
+    itself, whatever cancels, and 0 only where it is.
+    """
     parts = 0
     for i in range(count):
         total, kept = terms[i], 0
@@ -99,12 +102,15 @@ def sign_of_sum(terms, count):
             terms[kept] = total
             kept += 1
         parts = kept
-    return 0.0 if parts == 0 else math.copysign(1.0, terms[parts - 1])
+    result = 0.0
+    for part in range(parts):  # from the least on; they do not overlap
+        result += terms[part]
+    return result
 
 
 @lean_kernel
 def exact_side(origin, a, b, vector, base, t, direction):
-    """Sign of (vector - base - t direction) . ((a - origin) x (b - origin)), without rounding."""
+    """`exact_sum` for (vector - base - t direction) . ((a - origin) x (b - origin))."""
     terms, count = stack_array(TERMS, np.float64), 0
     one, two, three = (
         stack_array(4, np.float64),
@@ -128,7 +134,7 @@ def exact_side(origin, a, b, vector, base, t, direction):
                 terms[count], terms[count + 1] = two_product(high, factor)
                 terms[count + 2], terms[count + 3] = two_product(low, factor)
                 count += 4
-    return sign_of_sum(terms, count)
+    return exact_sum(terms, count)
 
 
 @lean_kernel
@@ -148,10 +154,10 @@ def side(origin, a, b, vector, base):
         size += abs(one) * (abs(first) + abs(second))
     if abs(total) > SURE * size:
         return total
-    return exact_side(origin, a, b, vector, base, 0.0, vector) * max(abs(total), LEAST)
+    return exact_side(origin, a, b, vector, base, 0.0, vector)
 
 
-LEAST = 1e-300  # instead of a determinant that is rounded to zero
+LEAST = 1e-300  # instead of a distance that is rounded to zero
 
 
 # ---- where a line crosses a triangle
@@ -204,7 +210,7 @@ def cross_triangle(vertices, corner, origin, direction, zero):
     if is_sure and abs(height) > DOUBT_OF_HEIGHT * far * far * far:
         sign = math.copysign(1.0, height) * math.copysign(1.0, u)
         return Crossing(
-            math.copysign(distance_along(a, b, c, origin, direction), sign), sign, True
+            math.copysign(distance_along(a, b, c, origin, direction, zero), sign), sign, True
         )
     return cross_in_doubt(a, b, c, origin, direction, zero)
 
@@ -222,7 +228,7 @@ def cross_in_doubt(a, b, c, origin, direction, zero):
     total = u + v + w
     if total == 0.0:
         return cross_within_plane(a, b, c, origin, direction, zero)
-    s = distance_along(a, b, c, origin, direction)
+    s = distance_along(a, b, c, origin, direction, zero)
     sign = side(origin, b, c, a, origin)
     sign = sign if total > 0.0 else -sign
     sign = 0.0 if sign == 0.0 else math.copysign(1.0, sign)
@@ -231,18 +237,28 @@ def cross_in_doubt(a, b, c, origin, direction, zero):
 
 
 @lean_kernel
-def distance_along(a, b, c, origin, direction):
+def distance_along(a, b, c, origin, direction, zero):
     """How far along a line its point in the plane of a triangle is, in units of its direction; no
     nearer than the nearest corner, and no farther than the farthest.
+
+    It is right to 2**-38 of itself also where the line runs nearly in the plane.
     """
-    height, slope, steepest = 0.0, 0.0, 0
+    height, slope, size_of_height, size_of_slope, steepest = 0.0, 0.0, 0.0, 0.0, 0
     for axis in range(3):
         y, z = (axis + 1) % 3, (axis + 2) % 3
-        normal = (b[y] - a[y]) * (c[z] - a[z]) - (b[z] - a[z]) * (c[y] - a[y])
+        plus = (b[y] - a[y]) * (c[z] - a[z])
+        minus = (b[z] - a[z]) * (c[y] - a[y])
+        normal, size = plus - minus, abs(plus) + abs(minus)
         height += normal * (a[axis] - origin[axis])
+        size_of_height += size * abs(a[axis] - origin[axis])
         slope += normal * direction[axis]
+        size_of_slope += size * abs(direction[axis])
         if abs(direction[axis]) > abs(direction[steepest]):
             steepest = axis
+    if abs(height) < FINE * size_of_height:
+        height = exact_side(a, b, c, a, origin, 0.0, direction)
+    if abs(slope) < FINE * size_of_slope:
+        slope = exact_side(a, b, c, direction, zero, 0.0, direction)
     first = (a[steepest] - origin[steepest]) / direction[steepest]
     second = (b[steepest] - origin[steepest]) / direction[steepest]
     third = (c[steepest] - origin[steepest]) / direction[steepest]
@@ -250,7 +266,7 @@ def distance_along(a, b, c, origin, direction):
     return min(max(s, min(first, second, third)), max(first, second, third))
 
 
-CLOSE = 2.0**-40  # of a distance: far more than what rounds it
+CLOSE = 2.0**-36  # of a distance: more than what rounds it
 
 
 @lean_kernel
@@ -264,7 +280,7 @@ def is_within(vertices, corner, origin, direction, zero, crossing, reach):
     left = exact_side(a, b, c, a, origin, reach, direction)
     if left == 0.0 and height == 0.0 and reach > 0.0:  # the line runs in the plane
         return enter_within_plane(a, b, c, origin, direction, zero, reach) < np.inf
-    return left == 0.0 or left != height
+    return left == 0.0 or height == 0.0 or (left < 0.0) != (height < 0.0)
 
 
 @lean_kernel
@@ -310,8 +326,8 @@ def fill_places(places, line, a, b, c, origin, direction, axis):
 
 @lean_kernel
 def flat_cross(place, origin, s, direction, base, goal):
-    """(place - origin - s direction) x (goal - base) in the plane, with the sign of the exact
-    value.
+    """(place - origin - s direction) x (goal - base) in the plane, right to 2**-38 of itself, with
+    the sign of the exact value.
     """
     x = place[0] - origin[0] - s * direction[0]
     y = place[1] - origin[1] - s * direction[1]
@@ -319,14 +335,14 @@ def flat_cross(place, origin, s, direction, base, goal):
     wide = abs(place[0] - origin[0]) + abs(s * direction[0])
     high = abs(place[1] - origin[1]) + abs(s * direction[1])
     total = x * v - y * u
-    if abs(total) > SURE * (wide * abs(v) + high * abs(u)):
+    if abs(total) > FINE * (wide * abs(v) + high * abs(u)):
         return total
-    return exact_flat_cross(place, origin, s, direction, base, goal) * max(abs(total), LEAST)
+    return exact_flat_cross(place, origin, s, direction, base, goal)
 
 
 @lean_kernel
 def exact_flat_cross(place, origin, s, direction, base, goal):
-    """The sign of that, without rounding."""
+    """`exact_sum` for that."""
     terms, count = stack_array(TERMS, np.float64), 0
     one, two = stack_array(4, np.float64), stack_array(2, np.float64)
     for axis in range(2):
@@ -338,7 +354,7 @@ def exact_flat_cross(place, origin, s, direction, base, goal):
             high, low = two_product(one[number >> 1], two[number & 1])
             terms[count], terms[count + 1] = sign * high, sign * low
             count += 2
-    return sign_of_sum(terms, count)
+    return exact_sum(terms, count)
 
 
 @lean_kernel

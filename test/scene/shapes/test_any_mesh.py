@@ -2,6 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Meshes that are not convex: rays in exact integers, distances triangle by triangle."""
 
+from fractions import Fraction
+
 import numpy as np
 import pytest
 from scene.reference import box_of_triangles, icosphere, scene_of
@@ -211,6 +213,46 @@ def test_a_ray_in_the_plane_of_a_triangle_touches_its_edges_exactly(power, spare
             assert np.isinf(hits.t).all()
         met += len(ways)
     assert met > 300
+
+
+def exact_entry(triangle, origin, direction):
+    """The exact t at which a line of doubles enters a triangle; inf without one, None if it runs
+    in the plane.
+    """
+    a, b, c, d = (np.array([Fraction(x) for x in place]) for place in (*triangle, direction))
+    start = np.array([Fraction(x) for x in origin])
+    a, b, c = a - start, b - start, c - start
+    u, v, w = d @ np.cross(b, c), d @ np.cross(c, a), d @ np.cross(a, b)
+    if min(u, v, w) < 0 < max(u, v, w):
+        return np.inf
+    return a @ np.cross(b, c) / (u + v + w) if u + v + w else None
+
+
+@pytest.mark.parametrize('spare', [0, 200])
+def test_a_ray_almost_in_the_plane_of_a_triangle_ends_where_it_crosses_it(spare):
+    """Only rounding lifts it out of the plane, so nearly all digits of its slope cancel."""
+    rng = np.random.default_rng(spare)
+    far, hits, misses = rng.uniform(500, 520, (spare, 3, 3)), 0, 0
+    for _ in range(60):
+        triangle = rng.normal(size=(3, 3)) + rng.normal(size=3)
+        scene = scene_of(Shapes.of_meshes(Mesh([triangle, *far]), [0, 0, 0]))
+        a, b, c = triangle[rng.permutation(3)]
+        share, beyond = rng.uniform(0.0, 1.0, (20, 1)), rng.uniform(0.2, 3.0, (20, 1))
+        starts = a + share * (b - a) + beyond * (a - c)
+        ways = (a + b + c) / 3.0 - starts
+        for limit in (1.0, np.inf):
+            found = scene.raycast_many(starts, ways, limit).t
+            for start, way, t in zip(starts, ways, found, strict=True):
+                exact = exact_entry(triangle, start, way)
+                if exact is None:
+                    continue
+                if not 0 <= exact <= limit:
+                    assert t > 100.0  # those far away
+                    misses += 1
+                else:
+                    assert t == pytest.approx(float(exact), rel=1e-10)
+                    hits += 1
+    assert min(hits, misses) > 100
 
 
 @pytest.mark.parametrize('name', [*SOLIDS, *SURFACES])
