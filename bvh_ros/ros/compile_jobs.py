@@ -18,7 +18,7 @@ from bvh_ros.scene.cast.arguments import Rays
 from bvh_ros.scene.cast.batch import first_hits, first_of_one
 from bvh_ros.scene.distance.narrow_phase import hull_gap
 from bvh_ros.scene.names import Registry, as_families
-from bvh_ros.scene.shapes.mesh import Hull
+from bvh_ros.scene.shapes.hull import Hull
 from bvh_ros.scene.store import Obstacles
 from bvh_ros.tree.access import inherit_entry
 from bvh_ros.tree.compiler import prepare

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ...tree.access import node_dtype
 from ...tree.compiler import CACHE_LINE, chosen_by_types, inlined, lean_kernel
-from .mesh import CONVEX, LANES, NO_WIDE, NUMBERS, Floats, Hull, Mesh
+from .mesh import CONVEX, LANES, NO_WIDE, NUMBERS, Floats, Mesh
 from .shadow import Seen
 from .shape import MESH
 from .surface import Surface, Wide
@@ -268,6 +268,16 @@ def triangle_hull(hulls, surface, face, places):
         for axis in range(3):
             places[number, axis] = corner[axis]
     return Hull(places, hulls.discs[:0], surface.radius)
+
+
+class Hull(NamedTuple):
+    """Vertices of a mesh, for GJK."""
+
+    places: Any
+    discs: Any
+    """See `farthest`."""
+    radius: Any
+    """A length beyond which no vertex is, m."""
 
 
 @chosen_by_types

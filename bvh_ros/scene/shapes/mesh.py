@@ -2,11 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Meshes: whether triangles are convex or closed, and what kernels need of them."""
 
-import functools
 import hashlib
 import math
 import os
-from collections.abc import Callable
 from fractions import Fraction
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -16,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ...tree.access import OpenTree, checks, take_snapshot
-from ...tree.compiler import WIDTH, entry_point, inlined, lean_kernel, stack_array
+from ...tree.compiler import WIDTH, inlined, lean_kernel, stack_array
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -87,7 +85,7 @@ class Lying(NamedTuple):
     normals: Floats  # (m, 3) of those planes, outward unit vectors
 
 
-class Planes(NamedTuple):
+class Hull(NamedTuple):
     """Planes of a hull, and which of them meet at the corner nearest each of its points."""
 
     equations: Floats  # (f, 4) outward unit normal n and d: n . x + d <= 0 in the hull
@@ -133,7 +131,7 @@ def lying(points: Floats, corners: Integers, enough: float) -> Lying:
     return found
 
 
-def _hull(points: Floats) -> tuple[Planes, Integers]:
+def _hull(points: Floats) -> tuple[Hull, Integers]:
     """The hull of points, and the triangles (f, 3) of its surface."""
     # Only meshes need this library: it is imported when the first one comes.
     from scipy.spatial import ConvexHull, QhullError, cKDTree
@@ -156,7 +154,7 @@ def _hull(points: Floats) -> tuple[Planes, Integers]:
     one, two, three = (points[faces[:, k]] for k in range(3))
     areas = np.linalg.norm(np.cross(two - one, three - one), axis=1)
     equations = hull.equations - [0.0, 0.0, 0.0, math.sqrt(3.0) * by]
-    return Planes(equations, areas, first[nearest], count[nearest], order // 3), faces
+    return Hull(equations, areas, first[nearest], count[nearest], order // 3), faces
 
 
 def _shared(corners: Integers, faces: Integers, count: int) -> tuple[Integers, Integers]:
@@ -172,7 +170,7 @@ def _shared(corners: Integers, faces: Integers, count: int) -> tuple[Integers, I
 
 
 def _hold_against_near(
-    points: Floats, corners: Integers, rows: Integers, hull: Planes, enough: float, found: Lying
+    points: Floats, corners: Integers, rows: Integers, hull: Hull, enough: float, found: Lying
 ) -> Integers:
     """Hold triangles against planes that meet near their corners; return those that lie deeper."""
     for corner in range(3):
@@ -453,18 +451,9 @@ ROOM = 96  # seven lanes wait on each of up to twelve levels
 TIED = 2.0**-50  # of a mesh's radius: what rounds its vertices' heights
 
 
-class Hull(NamedTuple):
-    """Vertices of a mesh."""
-
-    places: Any
-    discs: Any
-    radius: Any
-    """A length beyond which no vertex is, m."""
-
-
 @lean_kernel
 def farthest_vertex(hull, x, y, z):
-    """Row of the vertex of a `Hull` that is farthest along (x, y, z), up to rounding."""
+    """Row of the vertex of a `hull.Hull` that is farthest along (x, y, z), up to rounding."""
     best, height, direction = np.int64(0), -np.inf, (x, y, z)
     blocks, count = hull.discs.shape[0], hull.places.shape[0]
     if blocks == 0:
@@ -593,36 +582,36 @@ def _around(places: Floats, starts: NDArray[np.int64]) -> Floats:
 GRID = 16  # squares along each edge of the cube
 CORNERS = GRID + 1
 RAISED = 2.0**-47  # of a mesh's radius: more than what rounds a reach in the grid
+AT_ONCE = 256  # vertices, with all directions: what a cache holds
 
 
-@lean_kernel
-def fill_reaches(hull, reaches):
-    """Fill in how far a mesh reaches along all points of the grid, and along their opposites, (3,
-    CORNERS, CORNERS, 2). At [axis, i, j] that axis is 1, and the next two go from -1 to 1.
+def grid_of_reaches(vertices: Floats, radius: float) -> Floats:
+    """How far a mesh reaches along all points of the grid, and along their opposites, (3, CORNERS,
+    CORNERS, 2). At [axis, i, j] that axis is 1, and the next two go from -1 to 1.
     """
-    way, half = stack_array(3, np.float64), GRID / 2
+    grid, steps = np.ones((3, CORNERS, CORNERS, 3)), np.linspace(-1.0, 1.0, CORNERS)
     for axis in range(3):
-        for i in range(CORNERS):
-            for j in range(CORNERS):
-                for side in range(2):
-                    sign = 1.0 - 2.0 * side
-                    way[axis] = sign
-                    way[(axis + 1) % 3] = sign * (i / half - 1.0)
-                    way[(axis + 2) % 3] = sign * (j / half - 1.0)
-                    place = hull.places[farthest_vertex(hull, way[0], way[1], way[2])]
-                    reach = way[0] * place[0] + way[1] * place[1] + way[2] * place[2]
-                    reaches[axis, i, j, side] = reach + RAISED * hull.radius
+        grid[axis, :, :, (axis + 1) % 3] = steps[:, None]
+        grid[axis, :, :, (axis + 2) % 3] = steps
+    directions = grid.reshape(-1, 3).T
+    ahead, behind = np.full((2, directions.shape[1]), -np.inf)
+    for begin in range(0, len(vertices), AT_ONCE):
+        along = vertices[begin : begin + AT_ONCE] @ directions
+        np.maximum(ahead, along.max(axis=0), out=ahead)
+        np.maximum(behind, -along.min(axis=0), out=behind)
+    reaches = np.stack((ahead, behind), axis=1) + RAISED * radius
+    return reaches.reshape(3, CORNERS, CORNERS, 2)
 
 
 @lean_kernel
-def reach_both_ways(hull, reaches, x, y, z):
+def reach_both_ways(vertices, reaches, x, y, z):
     """How far a mesh reaches along (x, y, z), which is not zero, and the opposite way, at most.
     Without a grid it is how far it does.
     """
     if reaches.shape[0] == 0:
         ahead, behind = -np.inf, -np.inf
-        for vertex in range(hull.places.shape[0]):
-            place = hull.places[vertex]
+        for row in range(vertices.shape[0]):
+            place = vertices[row]
             along = x * place[0] + y * place[1] + z * place[2]
             ahead, behind = max(ahead, along), max(behind, -along)
         return ahead, behind
@@ -650,21 +639,14 @@ def interpolated(square, side, weights):
 
 
 NO_REACHES = np.empty((0, CORNERS, CORNERS, 2))
-NO_HULL = Hull(np.empty((0, 3)), np.empty((0, NUMBERS, LANES)), 1.0)
-
-
-@functools.cache
-def reaches_entry() -> Callable[..., Any]:
-    """The machine code of `fill_reaches`."""
-    return entry_point(fill_reaches, NO_HULL, NO_REACHES)
-
 
 # ---- The surface of any triangles, and whether it is closed.
 #
 # What counts inside by the parity of crossings needs an even number of triangles at every edge,
 # no more: parts may touch, cross and lie in each other, and triangles may be wound anyhow. A
 # triangle without area is crossed by no line, but may close the seam between others: so it counts
-# for the edges, and is left out afterwards.
+# for the edges, and is left out afterwards. Where a surface is written on both sides, parity would
+# find nothing inside, and a sheet closed: then each pair counts once.
 
 CONVEX, SOLID, SHELL = range(3)  # forms of a mesh
 
@@ -687,6 +669,8 @@ def any_surface(
         )
     first, number = once
     points, corners = given[first], number.reshape(-1, 3)
+    one_side = _one_side(corners)
+    corners = corners[one_side]
     odd = _odd_edges(corners)
     if len(odd):
         # As exporters round corners, see above.
@@ -696,7 +680,7 @@ def any_surface(
     if len(odd) and solid:
         raise ValueError(
             'a solid mesh must be closed: an odd number of triangles meets at an edge of '
-            f'triangle {int(odd[0])}'
+            f'triangle {int(one_side[odd[0]])}'
         )
     rows = np.flatnonzero(_have_area(points[corners]))
     if not len(rows):
@@ -708,7 +692,17 @@ def any_surface(
     normals = np.cross(two - one, three - one)  # as they are wound
     length = np.linalg.norm(normals, axis=1, keepdims=True)
     normals /= np.where(length > 0.0, length, 1.0)
-    return Surface(vertices, corners, rows, normals), not len(odd)
+    return Surface(vertices, corners, one_side[rows], normals), not len(odd)
+
+
+def _one_side(corners: Integers) -> Integers:
+    """Rows of all triangles; of the first of each, if each is there an even number of times."""
+    sets = np.sort(corners, axis=1)
+    order = np.lexsort(sets.T)  # equal ones by rows
+    begins = np.flatnonzero(np.any(np.diff(sets[order], axis=0, prepend=-1), axis=1))
+    if (np.diff(begins, append=len(corners)) % 2).any():
+        return np.arange(len(corners))
+    return np.sort(order[begins])
 
 
 def _odd_edges(corners: Integers) -> Integers:
@@ -837,7 +831,8 @@ class Mesh:
     that is closed only then.
 
     A point is inside a solid if a line from there crosses the surface an odd number of times. So
-    of two nested closed surfaces the inner one is a hollow.
+    of two nested closed surfaces the inner one is a hollow. Where each triangle is there an even
+    number of times, as of a surface that is written on both sides, it counts once.
 
     Raises
     ------
@@ -880,7 +875,7 @@ class Mesh:
         self.rows: NDArray[np.int32] = surface.rows.astype(np.int32)
         """(m,) rows of the triangles as given."""
         self.dropped = len(corners) - len(self.rows)
-        """How many of these had no area, or, of a convex mesh, repeated others."""
+        """How many of these had no area, or repeated others that count for them."""
         lo, hi = surface.vertices.min(axis=0), surface.vertices.max(axis=0)
         inside = bool((lo <= 0.0).all() and (hi >= 0.0).all())
         as_given = inside or not self.convex
@@ -1008,22 +1003,14 @@ class Mesh:
 
     @cached_property
     def discs(self) -> Floats:
-        """What `farthest_vertex` needs."""
-        return discs(self.vertices)
+        """What `farthest_vertex` needs of a convex mesh."""
+        return discs(self.vertices if self.convex else self.vertices[:0])
 
     @cached_property
     def reaches(self) -> Floats:
         """What `reach_both_ways` needs: nothing of few vertices."""
-        if len(self.vertices) <= FEW:
-            return NO_REACHES
-        reaches = np.empty((3, CORNERS, CORNERS, 2))
-        reaches_entry()(self.hull, reaches)
-        return reaches
-
-    @property
-    def hull(self) -> Hull:
-        """Its vertices for kernels."""
-        return Hull(self.vertices, self.discs, self.radius)
+        many = len(self.vertices) > FEW
+        return grid_of_reaches(self.vertices, self.radius) if many else NO_REACHES
 
     @cached_property
     def seeds(self) -> Floats:

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ...tree.access import FLOAT64, checks, of_row
 from ...tree.compiler import entry_point, inlined, lean_kernel, stack_array
-from .mesh import NO_HULL, NO_REACHES, Mesh, reach_both_ways, reaches_entry
+from .mesh import NO_REACHES, Mesh, reach_both_ways
 
 # ---- Lengths that neither overflow nor vanish.
 
@@ -815,7 +815,7 @@ def mesh_row(mesh, position, record, ndim, bounds):
     for axis in range(3):
         x, y, z = matrix[axis, 0], matrix[axis, 1], matrix[axis, 2]
         record.position[axis] = position[axis] + (x * centre[0] + y * centre[1] + z * centre[2])
-        ahead, behind = reach_both_ways(mesh.hull, mesh.reaches, x, y, z)
+        ahead, behind = reach_both_ways(mesh.vertices, mesh.reaches, x, y, z)
         if axis < ndim:
             around = max(reach_along(MESH, half, matrix, axis), ahead, behind)
             largest = max(largest, abs(record.position[axis]) + around)
@@ -829,7 +829,7 @@ def mesh_row(mesh, position, record, ndim, bounds):
 class PlacedMesh(NamedTuple):
     """What `mesh_rows` needs of a `Mesh`."""
 
-    hull: Any
+    vertices: Any
     reaches: Any
     centre: Any
     size: Any
@@ -853,15 +853,10 @@ def mesh_rows(mesh, rows, positions, sizes, form):
 
 @functools.cache
 def mesh_rows_entry() -> Callable[..., Any]:
-    """The machine code of `mesh_rows`. What a mesh of many vertices needs is compiled with it:
-    the first mesh of a node has four.
-    """
-    none, rows = np.empty((0, 3)), np.empty(0, np.int64)
-    mesh = PlacedMesh(NO_HULL, NO_REACHES, np.empty(0), np.empty(0))
-    form = _empty_form(0, 3)
-    code = entry_point(mesh_rows, mesh, rows, none, none, form, alongside=reaches_entry)
-    reaches_entry()
-    return code
+    """The machine code of `mesh_rows`."""
+    none = np.empty((0, 3))
+    mesh = PlacedMesh(none, NO_REACHES, np.empty(0), np.empty(0))
+    return entry_point(mesh_rows, mesh, np.empty(0, np.int64), none, none, _empty_form(0, 3))
 
 
 def _place_meshes(shapes: Shapes, form: Canonical) -> None:
@@ -873,7 +868,7 @@ def _place_meshes(shapes: Shapes, form: Canonical) -> None:
         return
     for mesh, some in by_mesh(shapes.mesh, rows):
         if isinstance(mesh, Mesh):
-            placed = PlacedMesh(mesh.hull, mesh.reaches, mesh.centre, mesh.size)
+            placed = PlacedMesh(mesh.vertices, mesh.reaches, mesh.centre, mesh.size)
             mesh_rows_entry()(placed, some, shapes.position, shapes.size, form)
         else:
             form.faults[some] = NO_MESH

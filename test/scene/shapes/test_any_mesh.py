@@ -274,6 +274,26 @@ def test_a_ray_from_a_surface_begins_in_the_obstacle(name):
     assert scene.raycast(places[0], places[0]).triangle == -1
 
 
+@pytest.mark.parametrize('name', [name for name in (*SOLIDS, *SURFACES) if name != 'twice'])
+def test_a_surface_on_both_sides_is_that_on_one(name):
+    """Else a solid would hold nothing by parity, and a sheet would be closed."""
+    rng, triangles = np.random.default_rng(7), (SOLIDS | SURFACES)[name]
+    both = np.concatenate((triangles, triangles[:, ::-1]))
+    one, other = Mesh(triangles), Mesh(both)
+    assert (other.closed, other.solid, other.convex) == (one.closed, one.solid, False)
+    assert (len(other.corners), other.dropped) == (len(triangles), len(triangles))
+    starts, goals = segments(triangles, 300, rng)
+    hits = [
+        scene_of(Shapes.of_meshes(mesh, [0, 0, 0])).raycast_many(starts, goals - starts, 1.0)
+        for mesh in (one, other)
+    ]
+    assert np.array_equal(hits[0].t, hits[1].t)
+    assert np.array_equal(hits[0].triangles, hits[1].triangles)
+    if not one.closed:
+        with pytest.raises(ValueError, match='a solid mesh must be closed'):
+            Mesh(both, solid=True)
+
+
 def test_what_a_mesh_says_of_itself():
     ball, shell = Mesh(icosphere(2)), Mesh(icosphere(2), solid=False)
     assert (ball.convex, ball.closed, ball.solid) == (True, True, True)
