@@ -46,7 +46,8 @@ class BvhNode(Node):
 
 def run(executable: str, create: Callable[[], Node], args: list[str] | None) -> int:
     """Create a node and spin it until Ctrl-C or SIGTERM; return the exit code."""
-    faulthandler.enable()  # a crash in native code says where
+    if sys.__stderr__ is not None:  # None where a supervisor has closed it
+        faulthandler.enable(sys.__stderr__)  # a crash in native code says where
     prepare()
     keep_memory()
     interrupts = Interrupts()

@@ -3,7 +3,10 @@
 """How the node starts and ends."""
 
 import re
+import shlex
 import signal
+import subprocess
+import sys
 import time
 from functools import partial
 from pathlib import Path
@@ -27,6 +30,12 @@ def start_node(start_node):
 def end_of(world):
     """Return the exit code and what was said."""
     return world.process.wait(60), world.said()
+
+
+def test_a_node_starts_where_standard_error_is_closed():
+    command = [sys.executable, '-m', 'bvh_ros.ros.node', '--ros-args', '-p', 'sources:=1']
+    ended = subprocess.run(['sh', '-c', f'exec {shlex.join(command)} 2>&-'], timeout=300)
+    assert ended.returncode == 2  # it has come as far as its parameters
 
 
 @pytest.mark.parametrize('how', [signal.SIGINT, signal.SIGTERM])
