@@ -45,8 +45,8 @@ def _count_from_anywhere() -> None:
 
 _count_from_anywhere()
 if hasattr(os, 'register_at_fork'):
-    # A fork waits until no thread compiles: else its child would have the lock for ever, and no
-    # thread that releases it.
+    # A fork waits until no thread compiles, or looks for what is kept: else its child would have
+    # this lock, or one that is taken below it, and no thread that releases it.
     os.register_at_fork(
         before=global_compiler_lock.acquire,
         after_in_parent=global_compiler_lock.release,
@@ -182,16 +182,16 @@ class _Part(CPUDispatcher):
         """What was kept, or what is compiled, and kept from now on."""
         if self._files is None:
             return self._compiler.compile(args, None)
-        found = self._files.load_overload(args, self.targetctx)
-        if found is not None:
-            found = found._replace(entry_point=object())
-            self.targetctx.insert_user_function(found.entry_point, found.fndesc, [found.library])
-            return found
         try:
-            found = self._compiler.compile(args, None)
-            self._files.save_overload(args, found)
+            found = self._files.load_overload(args, self.targetctx)
+            if found is None:
+                found = self._compiler.compile(args, None)
+                self._files.save_overload(args, found)
+                return found
         finally:
             self._files.release()
+        found = found._replace(entry_point=object())
+        self.targetctx.insert_user_function(found.entry_point, found.fndesc, [found.library])
         return found
 
     def add_overload(self, result: Any) -> None:
@@ -223,7 +223,8 @@ class Kernel(CPUDispatcher):
 
     def is_kept(self, sig: Any) -> bool:
         """Whether the machine code for these types need not be compiled."""
-        return self._cache.is_kept(sig, self.targetctx)
+        with global_compiler_lock:
+            return self._cache.is_kept(sig, self.targetctx)
 
     def get_call_template(self, args: Any, kws: Any) -> Any:
         """One part for a number written in the call and one that is computed, not two."""
@@ -257,5 +258,6 @@ def choose_kernels(called: Any, choose: Any) -> None:
 
 def code_generator() -> tuple[str, str, str]:
     """Return the triple, processor and features that numba names machine code by."""
-    found: tuple[str, str, str] = cpu_target.target_context.codegen().magic_tuple()
+    with global_compiler_lock:
+        found: tuple[str, str, str] = cpu_target.target_context.codegen().magic_tuple()
     return found

@@ -182,10 +182,11 @@ def test_worker_threads_do_not_pile_up() -> None:
 
 
 FORK = """
-    import os, signal, sys, threading, time
+    import faulthandler, os, signal, sys, threading, time
     import numpy as np
     from bvh_ros import DynamicBVH
 
+    faulthandler.register(signal.SIGALRM, chain=True)  # says where it hangs, then ends it
     changes = sys.argv[1] == 'changes'
     lo = np.random.default_rng(3).uniform(0, 60, (3000, 3))
     tree = DynamicBVH.from_boxes(lo, lo + 1)
@@ -213,7 +214,7 @@ FORK = """
         time.sleep(0.003 * (turn % 5))
         child = os.fork()
         if child == 0:
-            signal.alarm(30)
+            signal.alarm(200)  # seconds: it may compile, on a loaded machine
             code = 0
             try:
                 tree.raycast_many(lo, lo, threads=2)
