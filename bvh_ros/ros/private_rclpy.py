@@ -18,7 +18,7 @@ def _private(owner: Any, name: str) -> Any:
     except AttributeError:
         raise ImportError(
             f"this rclpy has no '{name}', which bvh_ros needs; it is known to work with rclpy 7.1 "
-            '(ROS 2 Jazzy)'
+            '(ROS 2 Jazzy) and 9.1 (Kilted)'
         ) from None
 
 
