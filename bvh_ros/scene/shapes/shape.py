@@ -36,9 +36,19 @@ def hypot(one, other):
     return abs(one) if other == 0.0 else math.hypot(one, other)
 
 
+LEAST_SQUARE, LARGEST_SQUARE = 1e-270, 1e300  # no product that matters vanishes, or overflows
+
+
 @lean_kernel
 def length(vector):
-    """Euclidean length; neither overflows nor vanishes where the result does not."""
+    """Euclidean length, right to 2**-51 of itself; neither overflows nor vanishes where the result
+    does not.
+    """
+    square = 0.0
+    for axis in range(vector.shape[0]):
+        square += vector[axis] * vector[axis]
+    if LEAST_SQUARE < square < LARGEST_SQUARE:
+        return math.sqrt(square)
     total = abs(vector[0])
     for axis in range(1, vector.shape[0]):
         total = hypot(total, vector[axis])
