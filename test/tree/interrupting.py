@@ -4,6 +4,7 @@
 wherever memory could be short.
 """
 
+import dis
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -13,6 +14,11 @@ from typing import Any
 import bvh_ros
 
 PACKAGE = str(Path(bvh_ros.__file__).parent)
+
+
+# Where an `except` returns, CPython 3.10 loses its stack if a trace function raises before this
+# bytecode. No signal handler runs there.
+NEVER_BEFORE = dis.opmap['POP_EXCEPT'] if sys.version_info < (3, 11) else -1
 
 
 class InterruptError(BaseException):
@@ -35,6 +41,8 @@ def interrupted(
         frame.f_trace_opcodes = True
         if event == 'opcode':
             left -= 1
+            if left == 0 and frame.f_code.co_code[frame.f_lasti] == NEVER_BEFORE:
+                left = 1
             if left == 0:
                 raise error
         return trace
