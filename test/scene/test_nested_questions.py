@@ -52,6 +52,7 @@ def asked_within(outer, inner):
         return trace
 
     before = sys.gettrace()
+    sys._getframe().f_trace_opcodes = True  # as in `tree.interrupting`
     sys.settrace(trace)
     try:
         return outer(), count

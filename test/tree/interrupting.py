@@ -48,6 +48,8 @@ def interrupted(
         return trace
 
     before = sys.gettrace()
+    # CPython 3.12 tells of bytecodes if this frame wants them when the function is set.
+    sys._getframe().f_trace_opcodes = True
     sys.settrace(trace)
     try:
         change()
