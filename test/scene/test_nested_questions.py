@@ -4,11 +4,9 @@
 answer: what is kept from one to the next is nobody else's meanwhile.
 """
 
-import sys
-
 import numpy as np
 import pytest
-from tree.interrupting import PACKAGE
+from tree.interrupting import at_each_bytecode
 from tree.reference import effort
 
 from bvh_ros.scene import Scene, Shapes
@@ -40,24 +38,14 @@ def asked_within(outer, inner):
     """What `outer` says, and how often `inner` was asked meanwhile: at each bytecode."""
     count = 0
 
-    def trace(frame, event, _):
+    def ask(_):
         nonlocal count
-        if not frame.f_code.co_filename.startswith(f'{PACKAGE}/scene/'):
-            return None
-        frame.f_trace_opcodes = True
-        if event == 'opcode':
-            count += 1
-        if event == 'opcode' and count % effort(3, 1) == 0:
+        count += 1
+        if count % effort(3, 1) == 0:
             inner()  # nothing is traced within a trace function
-        return trace
 
-    before = sys.gettrace()
-    sys._getframe().f_trace_opcodes = True  # as in `tree.interrupting`
-    sys.settrace(trace)
-    try:
+    with at_each_bytecode(('scene',), ask):
         return outer(), count
-    finally:
-        sys.settrace(before)
 
 
 @pytest.mark.parametrize('at', [None, HALF_A_SECOND])

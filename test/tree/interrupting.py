@@ -4,9 +4,10 @@
 wherever memory could be short.
 """
 
+import contextlib
 import dis
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import FrameType
 from typing import Any
@@ -25,26 +26,17 @@ class InterruptError(BaseException):
     """As a KeyboardInterrupt, which pytest would take for one."""
 
 
-def interrupted(
-    change: Callable[[], Any],
-    at: int,
-    rooms: tuple[str, ...] = ('tree',),
-    error: type[BaseException] = InterruptError,
-) -> bool:
-    """Raise at the bytecode of this number in some rooms of the package; whether there was one."""
-    left, places = at, tuple(f'{PACKAGE}/{room}/' for room in rooms)
+@contextlib.contextmanager
+def at_each_bytecode(rooms: tuple[str, ...], call: Callable[[FrameType], Any]) -> Iterator[None]:
+    """Call something before each bytecode that runs in some rooms of the package."""
+    places = tuple(f'{PACKAGE}/{room}/' for room in rooms)
 
     def trace(frame: FrameType, event: str, _: Any) -> Any:
-        nonlocal left
         if not frame.f_code.co_filename.startswith(places):
             return None
         frame.f_trace_opcodes = True
         if event == 'opcode':
-            left -= 1
-            if left == 0 and frame.f_code.co_code[frame.f_lasti] == NEVER_BEFORE:
-                left = 1
-            if left == 0:
-                raise error
+            call(frame)
         return trace
 
     before = sys.gettrace()
@@ -52,9 +44,28 @@ def interrupted(
     sys._getframe().f_trace_opcodes = True
     sys.settrace(trace)
     try:
-        change()
-    except error:
-        pass
+        yield
     finally:
         sys.settrace(before)
+
+
+def interrupted(
+    change: Callable[[], Any],
+    at: int,
+    rooms: tuple[str, ...] = ('tree',),
+    error: type[BaseException] = InterruptError,
+) -> bool:
+    """Raise at the bytecode of this number in some rooms of the package; whether there was one."""
+    left = at
+
+    def count_down(frame: FrameType) -> None:
+        nonlocal left
+        left -= 1
+        if left == 0 and frame.f_code.co_code[frame.f_lasti] == NEVER_BEFORE:
+            left = 1
+        if left == 0:
+            raise error
+
+    with at_each_bytecode(rooms, count_down), contextlib.suppress(error):
+        change()
     return left <= 0
