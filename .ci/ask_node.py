@@ -16,7 +16,8 @@ from visualization_msgs.msg import Marker, MarkerArray
 
 from bvh_ros.client import BvhClient, BvhTimeoutError, Hit
 
-COMPILING = 300.0  # seconds: the first start ever compiles the kernels
+COMPILING = 1000.0  # seconds: the first start ever compiles the kernels
+PATIENCE = 200.0  # seconds: a loaded machine is slow
 
 
 def box() -> Marker:
@@ -57,7 +58,7 @@ def main() -> None:
     rclpy.init()
     node = rclpy.create_node('ask_node')
     try:
-        client = BvhClient(node)
+        client = BvhClient(node, timeout=PATIENCE)
         wait_until_ready(client, process)
         hit = first_hit(node, client)
         print('the installed node answers:', hit)
@@ -67,7 +68,7 @@ def main() -> None:
         node.destroy_node()
         rclpy.try_shutdown()
         process.send_signal(signal.SIGINT)
-        status = process.wait(20)
+        status = process.wait(PATIENCE)
     assert status == 0, f'the node ended with {status} on Ctrl-C'
 
 

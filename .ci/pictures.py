@@ -80,7 +80,7 @@ def warehouse(width: int, height: int) -> Iterator[tuple[Any, Any]]:
     """The demo's warehouse, paused, and a browser that shows it."""
     world = Tracks('warehouse', list(scenarios.warehouse()))
     world.playing = False
-    server, ended = LocalServer('127.0.0.1', 8300), threading.Event()
+    server, ended = LocalServer('127.0.0.1', 0), threading.Event()
     page, browser = view.Page(server, world), chromium.open_browser(width, height)
     thread = threading.Thread(target=page.run, args=(ended.is_set,))
     thread.start()
@@ -99,6 +99,9 @@ def show(page: Any, browser: Any, t: float) -> None:
     shown = page.sent
     page.todo.put(lambda: page.world.seek(t))
     pages.until(lambda: page.sent > shown, 'nothing is drawn')
+    asked = threading.Event()
+    page.todo.put(asked.set)  # is done before the next picture: by then that one is answered
+    pages.until(asked.is_set, 'nothing is asked')
     answer = re.sub('<[^>]*>', '', page.probe.answer)
     pages.until(lambda: answer in pages.text_of(browser), 'another answer is shown')
 

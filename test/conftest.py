@@ -2,9 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """What all tests share."""
 
+import fcntl
 import os
 import signal
-import zlib
+import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -16,10 +17,23 @@ ROOT = Path(__file__).resolve().parent.parent
 
 
 def own_domain() -> int:
-    """A ROS domain from 1 to 100; workers of one run (pytest-xdist) have different ones."""
-    run = os.environ.get('PYTEST_XDIST_TESTRUNUID', str(os.getpid()))
-    worker = int(os.environ.get('PYTEST_XDIST_WORKER', 'gw0').removeprefix('gw'))
-    return 1 + (zlib.crc32(run.encode()) + worker) % 100
+    """A ROS domain from 1 to 100 that no other process of tests on this machine has."""
+    first = os.getpid()
+    for number in range(first, first + 100):
+        domain = 1 + number % 100
+        try:
+            lock = os.open(
+                f'{tempfile.gettempdir()}/bvh_ros_domain_{domain}', os.O_CREAT | os.O_RDWR
+            )
+        except PermissionError:
+            continue  # another user's
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            os.close(lock)
+            continue
+        return domain  # locked until this process ends
+    return 1 + first % 100
 
 
 # Nobody else's robots: this machine only, and a domain of our own.

@@ -7,6 +7,7 @@ import re
 import subprocess
 import sys
 from collections import defaultdict
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -114,10 +115,10 @@ def floor(shared_data):
 
 def demo(*arguments):
     return subprocess.run(
-        [sys.executable, '-m', 'bvh_ros.demo', *map(str, arguments)],
+        [sys.executable, Path(__file__).with_name('patient_demo.py'), *map(str, arguments)],
         capture_output=True,
         text=True,
-        timeout=280,
+        timeout=1500,
         check=False,
     )
 

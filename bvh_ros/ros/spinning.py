@@ -51,10 +51,10 @@ class Interrupts:
         self._starting = False
         self._read_end, self._write_end = os.pipe2(os.O_NONBLOCK | os.O_CLOEXEC)
         os.set_blocking(self._read_end, True)
+        # The number of every signal is written there as soon as it comes: none is lost from here.
+        signal.set_wakeup_fd(self._write_end, warn_on_full_buffer=False)
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, self._on_signal)
-        # The number of every signal is written there as soon as it comes.
-        signal.set_wakeup_fd(self._write_end, warn_on_full_buffer=False)
         threading.Thread(target=self._end_soon, name='interrupts', daemon=True).start()
 
     @contextmanager

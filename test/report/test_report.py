@@ -13,7 +13,7 @@ pytest.importorskip('matplotlib')
 from bvh_ros.report import cli
 from bvh_ros.report.page import Page
 
-pytestmark = [pytest.mark.slow, pytest.mark.timeout(900)]  # seconds
+pytestmark = pytest.mark.slow
 
 
 @pytest.fixture(scope='module', params=sorted(cli.PARTS))

@@ -19,12 +19,10 @@ from typing import Any
 import pytest
 from ros import forking
 from ros.clouds import cloud
+from ros.patience import COMPILING, PATIENCE
 
-START_TIMEOUT = 400.0  # seconds: the very first start compiles
-SETTLING = 1.0  # s: until a service has found who asks, too
-TIMEOUT = 60.0  # an answer takes milliseconds, where the machine has time
+AGAIN = 1.0  # s: until a node that may not have found who asks is asked again
 STACKS = 0.5  # s: until a node has written what its threads do
-END_TIMEOUT = 60.0  # an end takes half a second, where somebody else does not use the processor
 
 CUBE = 1
 EVERY_NODE = {  # the services that rclpy opens for each node
@@ -51,12 +49,13 @@ class World:
         self.log = log
         self._clients: dict[str, Any] = {}
         self.publishers: dict[str, Any] = {}
-        self._statuses: dict[str, Any] | None = None
+        self._heard: Any = None
+        self._statuses: dict[str, Any] = {}
 
     # ---- services
 
     def call(
-        self, name: str, request: Any, kind: type | None = None, timeout: float = TIMEOUT
+        self, name: str, request: Any, kind: type | None = None, timeout: float = PATIENCE
     ) -> Any:
         """Call a service of the node and return its reply."""
         from nav_msgs.srv import GetPlan
@@ -66,14 +65,15 @@ class World:
             others = kind is not None
             kind = kind or (GetPlan if isinstance(request, GetPlan.Request) else Trigger)
             self._clients[name] = self.node.create_client(kind, f'{self.name}/{name}')
-            self.until(self._clients[name].service_is_ready, timeout)
             if others:  # services that are not ours drop a reply to whom they have not found yet
-                time.sleep(SETTLING)
+                self.until_found(timeout)
+        # Each time: a managed node closes its services, and opens them again.
+        self.until(self._clients[name].service_is_ready, timeout)
         future = self._clients[name].call_async(request)
         deadline = time.monotonic() + timeout
         while not future.done():
             assert time.monotonic() < deadline, f'{name} does not answer'
-            self.executor.spin_once(TIMEOUT)
+            self.executor.spin_once(AGAIN)
         return future.result()
 
     def plan(self, name: str, start: Any, goal: Any, **given: Any) -> Any:
@@ -117,7 +117,7 @@ class World:
         self.publish('bvh/obstacles', MarkerArray(markers=list(array)))
 
     def until(
-        self, condition: Callable[[], Any], timeout: float = TIMEOUT, pause: float = 0.005
+        self, condition: Callable[[], Any], timeout: float = PATIENCE, pause: float = 0.005
     ) -> None:
         """Spin until something is true."""
         deadline = time.monotonic() + timeout
@@ -129,17 +129,42 @@ class World:
         """Spin until something is true that takes kernels. Not too often: others compile, and a
         look is a question to a node.
         """
-        self.until(condition, START_TIMEOUT, pause=0.2)
+        self.until(condition, COMPILING, pause=0.2)
 
     def status(self, what: str) -> Any:
         """The next status on /diagnostics of this part of the node: its level, text and values."""
         from diagnostic_msgs.msg import DiagnosticArray
 
-        if self._statuses is None:
-            self.node.create_subscription(DiagnosticArray, '/diagnostics', self._keep, 10)
+        if self._heard is None:
+            self._heard = self.node.create_subscription(
+                DiagnosticArray, '/diagnostics', self._keep, 10
+            )
+        with self._heard.handle:
+            while self._heard.handle.take_message(DiagnosticArray, False) is not None:
+                pass  # what waits is older than what the caller has just seen
         self._statuses = {}
         self.until(lambda: what in self._statuses)
         return self._statuses[what]
+
+    def until_found(self, timeout: float = PATIENCE) -> None:
+        """Wait until the node has found all that was opened here: DDS announces it in order, and
+        the node answers what is opened last.
+        """
+        from rcl_interfaces.srv import ListParameters
+
+        client = self.node.create_client(ListParameters, f'{self.name}/list_parameters')
+        self.until(client.service_is_ready, timeout)
+        asked, again = [], 0.0
+
+        def answered() -> bool:
+            nonlocal again
+            if time.monotonic() > again:
+                asked.append(client.call_async(ListParameters.Request()))
+                again = time.monotonic() + AGAIN
+            return any(reply.done() for reply in asked)
+
+        self.until(answered, timeout)
+        self.node.destroy_client(client)
 
     def _keep(self, message: Any) -> None:
         from types import SimpleNamespace
@@ -180,7 +205,7 @@ class World:
     def end(self, how: signal.Signals = signal.SIGINT) -> int:
         """Ask the node to end and return its exit code."""
         self.process.send_signal(how)
-        return self.process.wait(END_TIMEOUT)
+        return self.process.wait(PATIENCE)
 
     def destroy(self) -> None:
         """End the node if it still runs, and what was opened for it."""
@@ -244,9 +269,7 @@ def start_node(ros: Any, tmp_path_factory: Any) -> Iterator[Callable[..., World]
         world = World(ros, process, namespace, log)
         _started.append(world)
         if wait:
-            world.until(
-                lambda: 'ready' in world.said() or process.poll() is not None, START_TIMEOUT
-            )
+            world.until(lambda: 'ready' in world.said() or process.poll() is not None, COMPILING)
             assert process.poll() is None, world.said()
         return world
 
@@ -326,6 +349,12 @@ def diagnostics() -> Iterator[Callable[[World], dict[str, Any]]]:
         node.destroy_subscription(subscription)
 
 
+@pytest.fixture
+def patient_client(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where no row of a batch is answered, the client asks the node why, for a second only."""
+    monkeypatch.setattr('bvh_ros.client.node.REFUSAL_PATIENCE', PATIENCE)
+
+
 # ---- messages
 
 
@@ -382,29 +411,33 @@ def messages() -> Any:
 # ---- ends
 
 
-def waits_of(process: int) -> float:
-    """Seconds that the threads of a process were ready to run, but did not."""
-    waited = 0
+def waits_of(process: int) -> dict[str, float]:
+    """Seconds that each thread of a process was ready to run, but did not."""
+    waits = {}
     for file in Path(f'/proc/{process}/task').glob('*/schedstat'):
         with contextlib.suppress(OSError):  # it has ended
-            waited += int(file.read_text().split()[1])
-    return waited / 1e9
+            waits[file.parent.name] = int(file.read_text().split()[1]) / 1e9
+    return waits
 
 
 def end(process: subprocess.Popen, how: signal.Signals = signal.SIGTERM) -> float:
     """Ask a process to end, and check its exit code; return how long it took, without the time
     that its threads, and this process, were ready to run while the processor was with others.
     """
-    mine, waited, began = waits_of(os.getpid()), waits_of(process.pid), time.monotonic()
-    ended = waited
+    both = os.getpid(), process.pid
+    before = [waits_of(one) for one in both]
+    waits, began = [dict(each) for each in before], time.monotonic()
     process.send_signal(how)
     while process.poll() is None:
-        ended = max(ended, waits_of(process.pid))
-        assert time.monotonic() - began < END_TIMEOUT, 'it does not end'
+        for each, one in zip(waits, both, strict=True):
+            each |= waits_of(one)  # threads end one by one: of each, what is seen last
+        assert time.monotonic() - began < PATIENCE, 'it does not end'
         time.sleep(0.01)
-    assert process.returncode == 0
+    waits[0] |= waits_of(os.getpid())
     took = time.monotonic() - began
-    return took - (ended - waited) - (waits_of(os.getpid()) - mine)
+    assert process.returncode == 0
+    after, earlier = (sum(sum(each.values()) for each in some) for some in (waits, before))
+    return took - (after - earlier)
 
 
 @pytest.fixture(scope='session')

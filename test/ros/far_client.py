@@ -17,6 +17,7 @@ from visualization_msgs.msg import Marker, MarkerArray
 
 from bvh_ros.client import FREE, BvhClient, BvhError, BvhTimeoutError
 
+PATIENCE = 600.0  # seconds, against hanging
 START, END = (-2.0, 0.0, 0.0), (10.0, 0.0, 0.0)
 
 
@@ -37,16 +38,16 @@ class Far:
         self.obstacles = self.node.create_publisher(
             MarkerArray, '/bvh/obstacles', QoSProfile(depth=5000)
         )
-        self.client = BvhClient(self.node)
+        self.client = BvhClient(self.node, timeout=PATIENCE)
 
     def ready(self, count, _):
         """Wait for the node, and tell it the first obstacles."""
-        self.client.wait_until_ready(300.0)
-        self.client.wait_until_batches_are_ready(30.0)
+        self.client.wait_until_ready(PATIENCE)
+        self.client.wait_until_batches_are_ready(PATIENCE)
         while self.obstacles.get_subscription_count() == 0:
             time.sleep(0.02)
         self.tell(count, [0, 0.0])
-        return self.known(count, [0, 5.0])
+        return self.known(count, [0, PATIENCE])
 
     def tell(self, count, argument):
         """Publish obstacles from a number on, `period` seconds apart."""

@@ -3,7 +3,8 @@
 """A node under load; every answer is checked, memory is watched.
 
 python test/ros/soak.py MINUTES ends with 1 if an answer is wrong, or memory grows.
-python test/ros/soak.py --publish NAMESPACE publishes the boxes until it is ended.
+python test/ros/soak.py --publish NAMESPACE publishes the boxes until it is ended. It reads
+from its standard input which frames the node knows, a line each, and never gets far ahead of them.
 
 A thousand boxes, half of them turning, come and go at 30 Hz, published by a process of its own.
 The answers to random rays, balls and boxes are compared with brute force on the frame that the
@@ -20,7 +21,7 @@ from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryFile
-from typing import Any, NamedTuple
+from typing import IO, Any, NamedTuple
 
 import numpy as np
 import rclpy
@@ -182,7 +183,7 @@ def _order_fault(values: Floats) -> str:
 # ---- Random questions to the running node
 
 
-TIMEOUT = 10.0  # seconds
+TIMEOUT = 600.0  # seconds, against hanging
 
 
 class Answer(NamedTuple):
@@ -253,6 +254,7 @@ class Asker:
 
 
 RATE = 30.0  # frames a second
+AHEAD = 60  # frames; more would pile up in the memory of a node without time
 TOPIC = 'bvh/obstacles'
 STAMP, ID, X = 0x1D0FACED, 0x0B0EAC71, -1.2345678901234567e89  # occur nowhere else
 
@@ -310,14 +312,16 @@ def _serialised() -> bytes:
 
 
 def publish(namespace: str) -> None:
-    """Publish frame after frame; a late one is followed by the next at once."""
+    """Publish frame after frame; a late one comes at once, where the node has kept up."""
     rclpy.init(args=[])
     node = rclpy.create_node('soak_publisher', namespace=namespace)
     publisher = node.create_publisher(MarkerArray, TOPIC, 10)
     while publisher.get_subscription_count() == 0:
         time.sleep(0.01)
-    frames, frame, began = Frames(), 0, time.monotonic()
+    frames, frame, known, began = Frames(), 0, 0, time.monotonic()
     while rclpy.ok():
+        while frame > known + AHEAD:
+            known = int(sys.stdin.readline())
         message = frames.message(frame)
         time.sleep(max(0.0, began + frame / RATE - time.monotonic()))
         publisher.publish(message)
@@ -325,20 +329,24 @@ def publish(namespace: str) -> None:
 
 
 @contextmanager
-def publishing(namespace: str) -> Iterator[None]:
-    """Publish the world in a process of its own."""
-    process = subprocess.Popen([sys.executable, __file__, '--publish', namespace])
+def publishing(namespace: str) -> Iterator[IO[bytes]]:
+    """Publish the world in a process of its own, which is to be told what the node knows."""
+    command = [sys.executable, __file__, '--publish', namespace]
+    process = subprocess.Popen(command, stdin=subprocess.PIPE, bufsize=0)
+    assert process.stdin is not None
     try:
-        yield
+        yield process.stdin
     finally:
         process.kill()
         process.wait()
+        process.stdin.close()
 
 
 # ---- The soak
 
 
 ASKED = 100.0  # questions a second
+LEAST = 500  # questions, however long they take: half of them are the warm-up
 SHOWN = 10  # wrong answers that are printed
 FLAT = 0.02  # of the memory after the warm-up; more growth than this over the run is a leak
 WARM_UP = 0.5  # of the run: what is allocated once is not growth
@@ -377,7 +385,7 @@ def memory(process: int) -> float:
 
 
 def soak(minutes: float) -> Soaked:
-    """Ask a node of its own for so long."""
+    """Ask a node of its own for so long, from when it knows a frame."""
     answers, levels = list[Answer](), list[tuple[float, float]]()
     figures: dict[str, str] = {}
 
@@ -389,14 +397,17 @@ def soak(minutes: float) -> Soaked:
     with (
         TemporaryFile() as log,
         running.served('soak', log=log) as (client, process),
-        publishing(client.node.get_namespace()),
+        publishing(client.node.get_namespace()) as publisher,
     ):
         asker = Asker(client.node)
+        while asker.ask().frame < 0:
+            time.sleep(1.0 / ASKED)
         client.node.create_subscription(DiagnosticArray, '/diagnostics', note, 10)
         began = now = time.monotonic()
         levels.append((0.0, memory(process.pid)))
-        while now < began + 60.0 * minutes:
+        while now < began + 60.0 * minutes or len(answers) < LEAST:
             answers.append(asker.ask())
+            publisher.write(f'{answers[-1].frame}\n'.encode())
             time.sleep(max(0.0, now + 1.0 / ASKED - time.monotonic()))
             now = time.monotonic()
             if now - began >= 60.0 * levels[-1][0] + 1.0:

@@ -12,6 +12,7 @@ pytest.importorskip('rclpy', reason='rclpy is not installed', exc_type=ImportErr
 
 import rclpy
 from rclpy.executors import SingleThreadedExecutor
+from ros.patience import PATIENCE
 
 from bvh_ros.client import FREE, UNANSWERED, BvhClient, BvhError, BvhTimeoutError
 
@@ -23,7 +24,7 @@ UPWARDS = np.tile((0.0, 0.0, 2.0), (5, 1))
 @pytest.fixture
 def client(world):
     node = rclpy.create_node('asker')
-    yield BvhClient(node, world.name)
+    yield BvhClient(node, world.name, timeout=PATIENCE)
     node.destroy_node()
 
 
@@ -62,6 +63,7 @@ def test_float32_limits_and_masks(filled, client):
     assert client.raycast_many(*rays, 2.0).obstacles.tolist() == [FREE] * 5
 
 
+@pytest.mark.usefixtures('patient_client')
 def test_rows_without_an_answer(filled, client):
     origins = ORIGINS.copy()
     origins[1, 0] = math.nan
@@ -98,7 +100,7 @@ def test_ten_batches_on_the_way(filled, client):
     thread = threading.Thread(target=executor.spin)
     thread.start()
     try:
-        client.wait_until_batches_are_ready()
+        client.wait_until_batches_are_ready(PATIENCE)
         asked = [client.raycast_many_async(ORIGINS[:i], UPWARDS[:i]) for i in range(10)]
         filled.until(lambda: all(answer.done() for answer in asked))
         assert [len(answer.result().t) for answer in asked] == [0, 1, 2, 3, 4, 5, 5, 5, 5, 5]
@@ -145,11 +147,11 @@ def test_requests_before_a_large_message(filled, client):
     thread = threading.Thread(target=executor.spin)
     thread.start()
     try:
-        client.wait_until_ready()
-        client.wait_until_batches_are_ready()
+        client.wait_until_ready(PATIENCE)
+        client.wait_until_batches_are_ready(PATIENCE)
         asked = [client.raycast_async((0, 0, 0), (0, 0, 9)) for _ in range(200)]
         origins = np.zeros((40_000, 3), np.float32)  # 0.96 MB
-        hits = client.raycast_many(origins, origins + np.float32((0, 0, 1)), timeout=60.0)
+        hits = client.raycast_many(origins, origins + np.float32((0, 0, 1)))
         assert (hits.t == 4.5).all()
         filled.until(lambda: all(answer.done() for answer in asked))
         assert {answer.result().name for answer in asked} == {'crate/0'}

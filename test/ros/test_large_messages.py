@@ -4,18 +4,21 @@
 
 import json
 import os
+import select
 import subprocess
 import sys
 from pathlib import Path
 from xml.etree import ElementTree
 
 import pytest
+from ros.patience import PATIENCE
 
 pytest.importorskip('rclpy', reason='rclpy is not installed', exc_type=ImportError)
 
 from bvh_ros.ros import large_messages
 
 SENT = 10
+LOST = 20.0  # seconds after which a message counts as lost
 NO_HEARTBEAT = """<?xml version="1.0" encoding="UTF-8" ?>
 <dds xmlns="http://www.eprosima.com/XMLSchemas/fastRTPS_Profiles">
   <profiles>
@@ -29,17 +32,18 @@ LISTEN = """
 import time, rclpy
 from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import PointCloud2
+def hear(cloud):
+    print(len(cloud.data), flush=True)
 rclpy.init()
 node = rclpy.create_node('listener')
-heard = []
-node.create_subscription(PointCloud2, '/large', heard.append, qos_profile_sensor_data)
-end = time.monotonic() + 20
-while len(heard) < {sent} and time.monotonic() < end:
-    rclpy.spin_once(node, timeout_sec=0.1)
-print(sum(len(cloud.data) == 3_200_000 for cloud in heard))
+large = node.create_subscription(PointCloud2, '/large', hear, qos_profile_sensor_data)
+while large.get_publisher_count() == 0:
+    time.sleep(0.01)
+print('found', flush=True)
+rclpy.spin(node)
 """
 TALK = """
-import time, rclpy
+import sys, time, rclpy
 from array import array
 from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import PointCloud2
@@ -48,27 +52,35 @@ node = rclpy.create_node('talker')
 publisher = node.create_publisher(PointCloud2, '/large', qos_profile_sensor_data)
 while publisher.get_subscription_count() == 0:
     time.sleep(0.01)
-time.sleep(0.5)
+print('found', flush=True)
 cloud = PointCloud2(data=array('B', bytes(3_200_000)))
-for _ in range({sent}):
+for line in sys.stdin:
     publisher.publish(cloud)
-    time.sleep(0.1)
-time.sleep(1)
 """
 
 
 def test_large_best_effort_messages_arrive():
     environment = {**os.environ, large_messages.VARIABLES[0]: str(large_messages.profile())}
-    listener, talker = (
-        subprocess.Popen(
-            [sys.executable, '-c', code.format(sent=SENT)], env=environment, stdout=subprocess.PIPE
-        )
-        for code in (LISTEN, TALK)
-    )
-    talker.wait(60)
-    heard, _ = listener.communicate(timeout=60)
-    # Without the profile one or none arrive. With it, a machine that has no time may miss one.
-    assert int(heard) > SENT // 2
+    pipes = {'stdin': subprocess.PIPE, 'stdout': subprocess.PIPE, 'bufsize': 0}
+    given = {'env': environment, **pipes}
+    with (
+        subprocess.Popen([sys.executable, '-c', LISTEN], **given) as listener,
+        subprocess.Popen([sys.executable, '-c', TALK], **given) as talker,
+    ):
+        try:
+            for one in (listener, talker):
+                assert one.stdout.readline() == b'found\n'
+            heard = 0
+            for _ in range(SENT):  # each once the one before was heard: none has to wait
+                talker.stdin.write(b'go\n')
+                talker.stdin.flush()
+                if select.select([listener.stdout], [], [], LOST)[0]:
+                    heard += listener.stdout.readline() == b'3200000\n'
+        finally:
+            listener.kill()
+            talker.kill()
+    # Without the profile every second one is lost, or more.
+    assert heard >= SENT - 1
 
 
 @pytest.mark.parametrize('variable', large_messages.VARIABLES)
@@ -92,11 +104,11 @@ def test_requests_before_a_large_message_wait_for_no_heartbeat(tmp_path):
     """The message pushes requests out of the shared memory. `BvhClient` repeats them."""
     profile = tmp_path / 'no_heartbeat.xml'
     profile.write_text(NO_HEARTBEAT)
-    domain = {'ROS_DOMAIN_ID': str(102 + os.getpid() % 100)}
+    domain = {'ROS_DOMAIN_ID': str(101 + int(os.environ['ROS_DOMAIN_ID']))}
     environment = {**os.environ, **domain, large_messages.VARIABLES[0]: str(profile)}
     client = [sys.executable, str(Path(__file__).with_name('far_client.py'))]
     with subprocess.Popen([sys.executable, '-m', 'bvh_ros.ros.node'], env=environment) as node:
-        lines = [['ready', 1, None], ['before_large', 200, [node.pid, 60.0]]]
+        lines = [['ready', 1, None], ['before_large', 200, [node.pid, PATIENCE]]]
         done = subprocess.run(
             client,
             input='\n'.join(map(json.dumps, lines)),

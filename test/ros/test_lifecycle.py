@@ -10,11 +10,10 @@ pytest.importorskip('rclpy', reason='rclpy is not installed', exc_type=ImportErr
 
 from lifecycle_msgs.msg import State, Transition
 from lifecycle_msgs.srv import ChangeState, GetState
+from ros.patience import COMPILING
 
 OFFERED = {'raycast', 'raycast_all', 'overlap', 'nearest', 'clear', 'rebuild', 'validate'}
 EVERY_MANAGED_NODE = {'change_state', 'get_state', 'get_available_states'}
-STARTING = 60.0  # seconds
-COMPILING = 240.0  # seconds, where nothing is in the cache
 
 
 class Managed:
@@ -30,7 +29,7 @@ class Managed:
 
     def state(self):
         request = GetState.Request()
-        return self.world.call('get_state', request, GetState, STARTING).current_state.id
+        return self.world.call('get_state', request, GetState).current_state.id
 
     def services(self):
         """Names of the node's own services, without those that every managed node has."""
@@ -50,7 +49,7 @@ def manage(start_node):
     def start(**parameters):
         world = start_node(parameters, wait=False, module='lifecycle_node')
         managed = Managed(world)
-        world.until(lambda: managed.state() == State.PRIMARY_STATE_UNCONFIGURED, STARTING)
+        world.until(lambda: managed.state() == State.PRIMARY_STATE_UNCONFIGURED)
         return managed
 
     return start

@@ -12,6 +12,7 @@ from functools import partial
 from pathlib import Path
 
 import pytest
+from ros.patience import COMPILING, PATIENCE
 
 pytest.importorskip('rclpy', reason='rclpy is not installed', exc_type=ImportError)
 
@@ -29,12 +30,12 @@ def start_node(start_node):
 
 def end_of(world):
     """Return the exit code and what was said."""
-    return world.process.wait(60), world.said()
+    return world.process.wait(PATIENCE), world.said()
 
 
 def test_a_node_starts_where_standard_error_is_closed():
     command = [sys.executable, '-m', 'bvh_ros.ros.node', '--ros-args', '-p', 'sources:=1']
-    ended = subprocess.run(['sh', '-c', f'exec {shlex.join(command)} 2>&-'], timeout=300)
+    ended = subprocess.run(['sh', '-c', f'exec {shlex.join(command)} 2>&-'], timeout=PATIENCE)
     assert ended.returncode == 2  # it has come as far as its parameters
 
 
@@ -60,7 +61,7 @@ def handles(process, number):
 def test_clean_exit_while_starting(start_node, how, after):
     """From when it has been imported; before that, the signal ends it in Python's way."""
     world = start_node(wait=False)
-    world.until(lambda: handles(world.process, signal.SIGTERM), timeout=60)
+    world.until(lambda: handles(world.process, signal.SIGTERM))
     time.sleep(after)
     assert world.end(how) == 0, world.said()
     assert 'Traceback' not in world.said()
@@ -71,7 +72,7 @@ def test_clean_exit_while_starting(start_node, how, after):
 def test_clean_exit_while_compiling(start_node, monkeypatch, tmp_path, seconds_to_end, how):
     monkeypatch.setenv('NUMBA_CACHE_DIR', str(tmp_path))
     world = start_node(wait=False)
-    world.until(lambda: any(tmp_path.rglob('*.nbc')), timeout=60)  # of some minutes
+    world.until(lambda: any(tmp_path.rglob('*.nbc')), COMPILING)  # of some minutes
     assert seconds_to_end(world.process, how) < 1.0
     assert 'Traceback' not in world.said()
 

@@ -13,6 +13,7 @@ pytest.importorskip('rclpy', reason='rclpy is not installed', exc_type=ImportErr
 
 from rclpy.serialization import deserialize_message
 from ros import soak
+from ros.patience import COMPILING
 from ros.soak import BOXES, HALF, Found, scene_at
 from visualization_msgs.msg import Marker, MarkerArray
 
@@ -130,7 +131,7 @@ def test_the_first_hit(told):
 @pytest.mark.slow
 def test_a_short_soak():
     command = [sys.executable, soak.__file__, str(MINUTES)]
-    ended = subprocess.run(command, capture_output=True, text=True, timeout=280, check=False)
+    ended = subprocess.run(command, capture_output=True, text=True, timeout=COMPILING, check=False)
     assert ended.returncode == 0, ended.stdout + ended.stderr
     figures = dict(line.rsplit(None, 1) for line in ended.stdout.splitlines())
     assert figures['wrong answers'] == '0'

@@ -9,6 +9,7 @@ pytest.importorskip('rclpy', reason='rclpy is not installed', exc_type=ImportErr
 
 import rclpy
 from ros.parts.mixed_world import FACING, PARAMETERS, PLACE, fill, same_scene
+from ros.patience import PATIENCE
 from turns import unit_quaternions
 
 from bvh_ros.client import COMPILING, FREE, UNANSWERED, BvhClient, BvhError, BvhTimeoutError
@@ -31,7 +32,7 @@ needs_services = pytest.mark.skipif(
 
 
 @pytest.fixture
-def node():
+def node(ros_context):
     node = rclpy.create_node('asker')
     yield node
     node.destroy_node()
@@ -62,7 +63,7 @@ def filled(start_node, messages):
 
 @pytest.fixture
 def client(filled, node):
-    return BvhClient(node, filled.name, timeout=60.0)
+    return BvhClient(node, filled.name, timeout=PATIENCE)
 
 
 @needs_services

@@ -13,6 +13,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from ros.patience import COMPILING
 
 pytest.importorskip('rclpy', reason='rclpy is not installed', exc_type=ImportError)
 
@@ -46,7 +47,7 @@ def test_nothing_is_compiled_once_the_services_are_there(parameters):
         [sys.executable, str(script), json.dumps(parameters)],
         capture_output=True,
         text=True,
-        timeout=300,  # seconds: the very first start compiles
+        timeout=COMPILING,
         env={**os.environ, 'PYTHONPATH': f'{script.parent}{os.pathsep}{script.parents[1]}'},
         check=False,
     )

@@ -8,10 +8,12 @@ import subprocess
 import time
 from contextlib import contextmanager, suppress
 
+from ros.patience import PATIENCE
+
 # Tests that run at once share /dev/shm, where Fast DDS knows a host by its addresses and a port by
 # its domain: so each process has a network and a domain of its own.
 NETWORK = f'10.77.{os.getpid() % 250}'
-DOMAIN = 102 + os.getpid() % 100
+DOMAIN = 101 + int(os.environ['ROS_DOMAIN_ID'])  # ours are up to 100
 
 
 def reason_to_skip():
@@ -37,7 +39,7 @@ def _wait_for_link(name):
     """Wait until the link runs: a participant that is made before would not know it. The kernel
     may take a second.
     """
-    deadline = time.monotonic() + 10.0
+    deadline = time.monotonic() + PATIENCE
     while 'state UP' not in _run('ip', '-n', name, 'link', 'show', 'link0'):
         assert time.monotonic() < deadline, 'the link does not come up'
         time.sleep(0.01)

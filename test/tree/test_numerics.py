@@ -16,7 +16,6 @@ from tree.adversary import SCALES, each_ndim, each_scale, rays_at, reaches, some
 from tree.reference import (
     INSIDE,
     LARGEST,
-    LONG,
     SMALLEST,
     ExactHit,
     Floats,
@@ -33,8 +32,6 @@ from bvh_ros import ALL, DynamicBVH
 BOXES = 20
 RAYS = 500  # a scene: enough for the batch path
 SCENES = effort(1, 130)  # a scale and number of dimensions
-
-pytestmark = pytest.mark.timeout(3600 if LONG else 300)
 
 
 class World(NamedTuple):

@@ -102,7 +102,6 @@ def peak_memory() -> int:
     return 1024 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
 
 
-@pytest.mark.timeout(1200)
 @pytest.mark.parametrize('margin', [0.0, 0.05])
 @pytest.mark.parametrize('predicted', [False, True])
 def test_mixed_updates(margin: float, predicted: bool) -> None:

@@ -17,7 +17,8 @@ FLAGS = (
     '--disable-dev-shm-usage',
     '--force-device-scale-factor=1',
 )
-START_TIMEOUT = 120
+START_TIMEOUT = 120  # seconds
+TIMEOUT = 600  # seconds, for what it is asked: a loaded machine is slow
 
 # Runs before the page's own program. A picture is a frame of the browser in which something was
 # drawn; an update is one before which places of obstacles went to the graphics card.
@@ -63,8 +64,11 @@ def open_browser(width: int, height: int) -> Any:
     options.binary_location = found[0]
     for flag in (*FLAGS, f'--window-size={width},{height}'):
         options.add_argument(flag)
+    options.add_experimental_option('browserStartupTimeout', 1000 * START_TIMEOUT)
     options.set_capability('goog:loggingPrefs', {'browser': 'ALL', 'performance': 'ALL'})
     opened = webdriver.Chrome(options=options, service=Service(found[1]))
-    opened.set_page_load_timeout(START_TIMEOUT)
+    opened.command_executor.client_config.timeout = TIMEOUT
+    opened.set_page_load_timeout(TIMEOUT)
+    opened.set_script_timeout(TIMEOUT)
     opened.execute_cdp_cmd('Page.addScriptToEvaluateOnNewDocument', {'source': COUNTERS})
     return opened

@@ -20,7 +20,7 @@ from bvh_ros.view.page import Page
 from bvh_ros.view.stage import LocalServer
 from bvh_ros.view.worlds import ShownWorld, namespace_of
 
-TIMEOUT = 90.0  # seconds: WebGL without a graphics card is slow
+TIMEOUT = 600.0  # seconds: WebGL without a graphics card is slow, on a loaded machine above all
 HUE = 0.06  # of the whole circle: shading changes hues a little
 GREY = 0.25  # saturation below which a pixel is background, grid or text
 
@@ -36,7 +36,8 @@ def until(condition: Callable[[], Any], what: str) -> Any:
 @contextlib.contextmanager
 def shown(world: ShownWorld) -> Iterator[Page]:
     """A page that is served until the end, without question, shadows, grid and frames."""
-    server = LocalServer('127.0.0.1', 8200)
+    # A port that none had before: a page of another server would come back to its number.
+    server = LocalServer('127.0.0.1', 0)
     page = Page(server, world)
     page.panel.ask.value = 'nothing'
     for control in (page.panel.shadows, page.panel.grid, page.panel.frames):
@@ -56,7 +57,7 @@ def shown(world: ShownWorld) -> Iterator[Page]:
 
 def visit(browser: Any, page: Page, count: int) -> None:
     """Open a page, and wait until it tells of so many obstacles."""
-    before = {*page.server.get_clients()}  # an older page may have found the new server
+    before = {*page.server.get_clients()}
     browser.get(f'http://127.0.0.1:{page.server.get_port()}/')
     until(lambda: f'{count:,} obstacles' in text_of(browser), 'the page does not count')
     until(lambda: {*page.server.get_clients()} - before, 'no client')
@@ -64,6 +65,13 @@ def visit(browser: Any, page: Page, count: int) -> None:
         'document.querySelectorAll(".mantine-Notification-closeButton").forEach(x => x.click())'
     )
     browser.execute_script(close)  # it tells that there is no graphics card
+
+
+def wait_for_pictures(browser: Any) -> None:
+    """Wait until the browser has drawn all that it has been told."""
+    script = 'return window.counted.frames'
+    before = browser.execute_script(script)
+    until(lambda: browser.execute_script(script) > before + 2, 'nothing is drawn')
 
 
 def text_of(browser: Any) -> str:

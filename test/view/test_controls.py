@@ -54,6 +54,7 @@ def test_the_answer_follows_a_handle_that_is_dragged(opened, page):
     done(page, page.ask)
     done(page, lambda: page.probe.place(*ends))
     until(lambda: MET.search(text_of(opened)), 'no answer')
+    pages.wait_for_pictures(opened)  # a hand takes hold of what is drawn
     first = page.probe.ends()
     # The middle of the arrow along y: a hand takes hold of it there.
     length = 0.09 * page.stage.size
@@ -64,22 +65,28 @@ def test_the_answer_follows_a_handle_that_is_dragged(opened, page):
     chain = ActionChains(opened, duration=50)
     chain.move_to_element_with_offset(canvas, *(round(one) for one in at)).pause(0.5)
     chain.click_and_hold().pause(0.5).perform()
-    answers = set()
-    for _ in range(8):
-        way = [round(one) for one in (to - at) / 8]
-        ActionChains(opened, duration=50).move_by_offset(*way).pause(0.3).perform()
-        answers.add(page.probe.answer)  # the button of the mouse is down all the time
+    answers = {page.probe.answer}
+    way = [round(one) for one in (to - at) / 8]
+    for _ in range(4):  # the button of the mouse is down all the time
+        for _ in range(2):
+            ActionChains(opened, duration=50).move_by_offset(*way).pause(0.3).perform()
+        until(lambda: page.probe.answer not in answers, 'no other answer')
+        answers.add(page.probe.answer)
+    until(lambda: page.probe.ends()[1][1] > first[1][1] + 0.5, 'it is not dragged so far')
     last = page.probe.ends()
     ActionChains(opened).release().perform()
-    assert len(answers) > 2
     np.testing.assert_array_equal(last[0], first[0])
     moved = last[1] - first[1]
-    assert 0.5 < moved[1] < 4.0
+    assert moved[1] < 4.0
     np.testing.assert_allclose(moved[[0, 2]], 0.0, atol=1e-6)
-    ends = page.probe.ends()
-    hit = page.world.scene.raycast(*ends)
-    told = '{} at ({:.3f}, {:.3f}, {:.3f}) m · '.format(hit.name, *hit.point)
-    until(lambda: told in text_of(opened), 'another answer')
+
+    def told():
+        """What is told is the answer for the last place, which may come late."""
+        hit = page.world.scene.raycast(*page.probe.ends())
+        place = '({:.3f}, {:.3f}, {:.3f})'.format(*hit.point)
+        return f'{hit.name} at {place} m · ' in text_of(opened)
+
+    until(told, 'another answer')
     done(page, lambda: setattr(page.panel.ask, 'value', 'nothing'))
     done(page, page.ask)
 

@@ -13,6 +13,7 @@ pytest.importorskip('rclpy', reason='rclpy is not installed', exc_type=ImportErr
 
 from rclpy.node import Node
 from rclpy.parameter import Parameter
+from ros.patience import PATIENCE
 from tree.compiler.alone import run_alone
 
 from bvh_ros.ros.config.parameters import ConfigurationError
@@ -208,7 +209,7 @@ def started(executable, *arguments):
         [sys.executable, '-m', f'bvh_ros.ros.{executable}', *arguments],
         capture_output=True,
         text=True,
-        timeout=60,
+        timeout=PATIENCE,
         check=False,
     )
 

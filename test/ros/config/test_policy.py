@@ -13,6 +13,7 @@ pytest.importorskip('rclpy', reason='rclpy is not installed', exc_type=ImportErr
 
 from rclpy.validate_full_topic_name import validate_full_topic_name
 from rclpy.validate_namespace import validate_namespace
+from ros.patience import COMPILING, PATIENCE
 
 from bvh_ros.ros.server import has_typed_services
 
@@ -121,7 +122,7 @@ def test_the_managed_node_is_granted_what_it_does(policy, start_node):
     world = start_node(wait=False, module='lifecycle_node')
     for transition in (Transition.TRANSITION_CONFIGURE, Transition.TRANSITION_ACTIVATE):
         request = ChangeState.Request(transition=Transition(id=transition))
-        assert world.call('change_state', request, ChangeState, 240.0).success
+        assert world.call('change_state', request, ChangeState, COMPILING).success
     check(policy, '/bvh/lifecycle_node', world)
 
 
@@ -144,8 +145,8 @@ import rclpy
 from bvh_ros.client import BvhClient, BvhError
 
 rclpy.init(args=['--ros-args', '-r', f'__ns:={sys.argv[1]}'])
-client = BvhClient(rclpy.create_node('bvh_client'))
-client.wait_until_ready()
+client = BvhClient(rclpy.create_node('bvh_client'), timeout=float(sys.argv[2]))
+client.wait_until_ready(client.timeout)
 client.raycast_many([(0.0, 0.0, 0.0)], [(1.0, 0.0, 0.0)])
 client.names([])
 with contextlib.suppress(BvhError):  # it may have to be compiled
@@ -160,7 +161,7 @@ sys.stdin.read()
 def test_a_client_is_granted_what_it_does(policy, world):
     """All but what only a program of its own asks for: here, diagnostics."""
     client = subprocess.Popen(
-        [sys.executable, '-c', ASK, world.namespace],
+        [sys.executable, '-c', ASK, world.namespace, str(PATIENCE)],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         text=True,

@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 import pytest
+from ros.patience import PATIENCE
 
 pytest.importorskip('rclpy', reason='rclpy is not installed', exc_type=ImportError)
 
@@ -78,7 +79,7 @@ def test_meshes_that_are_not_convex(start_node, messages, meshes):
     inside = (-0.1, -0.1, -0.01), (0.1, 0.1, 0.01)  # the floor
     assert world.names('overlap', *inside) == (['a/1'] if meshes == 'solid' else [])
     point = 0, 0.5, 0.5
-    world.until(lambda: world.names('nearest', point, point, tolerance=0.4) == ['a/1'])
+    world.until_compiled(lambda: world.names('nearest', point, point, tolerance=0.4) == ['a/1'])
     (pose,) = world.plan('nearest', point, point, tolerance=0.4).poses
     assert pose.pose.position.y == pytest.approx(0.8, abs=1e-6)
     scene, queries = heard(world, 'scene'), heard(world, 'queries')
@@ -125,9 +126,9 @@ def test_a_planar_node_sees_their_shadows(start_node, messages):
     assert world.names('overlap', (4, 4, 0), (8, 8, 0)) == []
     assert world.names('overlap', (2, 4, 0), (8, 8, 0)) == ['a/1']
     point = 8, 8, 0
-    world.until(lambda: world.names('nearest', point, point, tolerance=5.0) == ['a/1'])
+    world.until_compiled(lambda: world.names('nearest', point, point, tolerance=5.0) == ['a/1'])
     node = rclpy.create_node('asks')
-    client = BvhClient(node, world.name, timeout=120.0)
+    client = BvhClient(node, world.name, timeout=PATIENCE)
     hits = client.check_path([[8.0, 8.0, 0.0], [4.0, 1.0, 0.0]])
     assert hits.distances == pytest.approx([4.5, 0.0])  # how deep it is there is not known
     assert not hits.normals[1].any()

@@ -262,9 +262,10 @@ def test_many_rays_are_answered_in_pieces_and_others_meanwhile(asker):
     bad = 30_000
     columns['dx'][bad] = np.nan
     few = cloud(rays(origins[:5], directions[:5]))
-    # Found before: on a busy machine that takes longer than the rays.
+    # Both have found each other: on a busy machine that takes longer than the rays.
     reply_of = world.node.create_client(GetPlan, f'{world.name}/raycast')
     world.until(reply_of.service_is_ready)
+    world.until_found()
     asker.publisher.publish(cloud(columns, kind='f4'))
     few.header.stamp.sec = 77
     asker.publisher.publish(few)
@@ -272,7 +273,7 @@ def test_many_rays_are_answered_in_pieces_and_others_meanwhile(asker):
     future = reply_of.call_async(GetPlan.Request())
     world.until(future.done)
     assert not asker.replies
-    world.until(lambda: {0, 77} <= asker.replies.keys(), timeout=60)
+    world.until(lambda: {0, 77} <= asker.replies.keys())
     world.node.destroy_client(reply_of)
     assert [*asker.replies] == [0, 77]
     rows, alone = table(asker.replies.pop(0)), table(asker.replies.pop(77))

@@ -78,7 +78,7 @@ def test_sources(busy, diagnostics):
 
 def test_queries_and_views(busy, diagnostics):
     seen = diagnostics(busy)
-    assert values(seen['queries'])['obstacles seen'] == '11'
+    busy.until(lambda: values(seen['queries'])['obstacles seen'] == '11')
     assert values(seen['queries of few'])['obstacles seen'] == '1'
     assert seen['queries of few'].message == 'answering'
     assert seen['queries of none'].level == OK

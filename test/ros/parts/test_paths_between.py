@@ -10,6 +10,7 @@ import pytest
 pytest.importorskip('rclpy', reason='rclpy is not installed', exc_type=ImportError)
 
 import rclpy
+from ros.patience import PATIENCE
 from scipy.spatial.transform import Rotation, Slerp
 
 from bvh_ros.client import FREE, UNANSWERED, BvhClient, BvhError
@@ -41,7 +42,7 @@ def world(start_node, messages):
 @pytest.fixture
 def client(world, ros_context):
     node = rclpy.create_node('asker')
-    yield BvhClient(node, world.name, timeout=120.0)
+    yield BvhClient(node, world.name, timeout=PATIENCE)
     node.destroy_node()
 
 
@@ -88,7 +89,7 @@ def test_a_pose_that_is_none_spoils_the_way_from_it(client):
 def test_without_path_between_it_is_an_error(start_node):
     world = start_node({'footprint': [0.3]})
     node = rclpy.create_node('asks')
-    client = BvhClient(node, world.name, timeout=60.0)
+    client = BvhClient(node, world.name, timeout=PATIENCE)
     assert client.check_path([[0, 0, 0]]).obstacles[0] == FREE
     with pytest.raises(BvhError, match='path_between of the node is off'):
         client.check_path([[0, 0, 0]], between=True)
@@ -107,7 +108,7 @@ def test_the_times_of_ways(start_node, messages):
         }
     )
     node = rclpy.create_node('asks')
-    client = BvhClient(node, world.name, timeout=120.0)
+    client = BvhClient(node, world.name, timeout=PATIENCE)
     first = node.get_clock().now().nanoseconds // 10**9 - 2
     for k, y in enumerate((-6.0, -4.0, -2.0)):  # 2 m/s
         world.markers(messages.marker(1, (0.0, y, 0.0), (0.4, 0.4, 0.4), stamp=first + k))

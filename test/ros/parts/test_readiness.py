@@ -13,13 +13,13 @@ import pytest
 pytest.importorskip('rclpy', reason='rclpy is not installed', exc_type=ImportError)
 
 from diagnostic_msgs.msg import DiagnosticStatus
+from ros import patience
 
 from bvh_ros import demo
 from bvh_ros.client import BvhClient, BvhError, BvhTimeoutError
 from bvh_ros.ros import running
 
 SCRIPT = Path(__file__).parents[1] / 'slow_node.py'
-STARTING = 240.0  # seconds: the very first start compiles
 COMPILING = re.compile(r'compiling: \d+ %, about \d+ s left \(what waits\)$')
 
 
@@ -29,7 +29,7 @@ def start(start_node, tmp_path):
 
     def begin():
         world = start_node(wait=False, script=(SCRIPT, tmp_path))
-        world.until((tmp_path / 'compiles').exists, STARTING)
+        world.until((tmp_path / 'compiles').exists, patience.COMPILING)
         return world
 
     return begin
@@ -41,10 +41,11 @@ def asked(world, name, **given):
     return world.names(name, (-5, 0, 0), (5, 0, 0), **given)[0]
 
 
+@pytest.mark.usefixtures('patient_client')
 def test_what_is_ready_is_answered_and_the_rest_soon(start, tmp_path, messages):
     marker = messages.marker
     world = start()
-    world.until(lambda: COMPILING.search(asked(world, 'overlap')), STARTING)
+    world.until(lambda: COMPILING.search(asked(world, 'overlap')), patience.COMPILING)
     world.markers(marker(1))
     world.until(lambda: world.names('raycast', (-5, 0, 0), (5, 0, 0)) == ['a/1'])
     for name, tolerance in (('raycast', 0.5), ('raycast_all', 0.0), ('overlap', 0.0)):
@@ -57,7 +58,7 @@ def test_what_is_ready_is_answered_and_the_rest_soon(start, tmp_path, messages):
     world.markers(marker(2, (3, 0, 0), type=2))  # a ball: rays at true shapes are not ready
     world.until(lambda: COMPILING.search(asked(world, 'raycast')))
 
-    client = BvhClient(world.node, world.name)
+    client = BvhClient(world.node, world.name, timeout=patience.PATIENCE)
     with pytest.raises(BvhError, match='compiling: '):
         client.overlap((0, 0, 0), (1, 1, 1))
     with pytest.raises(BvhError, match=COMPILING):
@@ -65,7 +66,7 @@ def test_what_is_ready_is_answered_and_the_rest_soon(start, tmp_path, messages):
     with pytest.raises(BvhTimeoutError, match='is still compiling'):
         client.wait_until_ready(1.0)
     (tmp_path / 'go').touch()
-    client.wait_until_ready()
+    client.wait_until_ready(patience.COMPILING)
     assert world.everything() == {'a/1', 'a/2'}
     assert asked(world, 'raycast', tolerance=0.5) == 'a/1'
     assert world.status('world').level == DiagnosticStatus.OK
@@ -78,7 +79,7 @@ def test_what_is_ready_is_answered_and_the_rest_soon(start, tmp_path, messages):
 
 def test_the_demo_asks_first_what_is_ready(start, tmp_path, capsys):
     world = start()
-    client = BvhClient(world.node, world.name)
+    client = BvhClient(world.node, world.name, timeout=patience.PATIENCE)
 
     def ask_and_go_on():
         demo._ask_first(world.node, client, time.monotonic())

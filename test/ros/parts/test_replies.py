@@ -11,6 +11,7 @@ pytest.importorskip('rclpy', reason='rclpy is not installed', exc_type=ImportErr
 
 from nav_msgs.srv import GetPlan
 from rclpy.qos import DurabilityPolicy, QoSProfile
+from ros.patience import PATIENCE
 from std_srvs.srv import Trigger
 
 from bvh_ros.ros.parts import part
@@ -54,7 +55,7 @@ def test_a_reply_is_sent_again_until_its_client_is_found(ros, monkeypatch, failu
     client = node.create_client(Trigger, name)
     timers = len(list(node.timers))
     try:
-        deadline = time.monotonic() + 30.0
+        deadline = time.monotonic() + PATIENCE
         while not client.service_is_ready():
             assert time.monotonic() < deadline
             executor.spin_once(0.01)
@@ -86,7 +87,7 @@ def test_a_client_that_cannot_be_reached_is_named_and_hinders_nobody(start_node)
         until = time.monotonic() + 1.0
         world.until(lambda: time.monotonic() > until)
         client.call_async(GetPlan.Request())
-        world.until(lambda: 'a reply of ~/raycast is lost' in world.said(), timeout=60.0)
+        world.until(lambda: 'a reply of ~/raycast is lost' in world.said())
     finally:
         world.node.destroy_client(client)
     assert world.names('raycast', (0, 0, 0), (1, 0, 0)) == []

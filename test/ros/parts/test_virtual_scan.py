@@ -19,7 +19,7 @@ from bvh_ros.ros.config.parameters import SCAN_OPTIONS, ConfigurationError, scan
 from bvh_ros.ros.conversions.query_clouds import FREE, UNANSWERED
 from bvh_ros.ros.parts import virtual_scan
 
-BOXES, TIMEOUT = 60, 60.0
+BOXES = 60
 RNG = np.random.default_rng(3)
 CENTRE = RNG.uniform(-10, 10, (BOXES, 3))
 SIZE = RNG.uniform(0.2, 2.0, (BOXES, 3))
@@ -63,7 +63,7 @@ class Scanner:
         """
         stamped = pose(*given, **more)
         stamped.header.stamp.sec = stamp = next(self.stamps)
-        self.world.until(lambda: self.of(stamp) or self.world.publish('scanner', stamped), TIMEOUT)
+        self.world.until(lambda: self.of(stamp) or self.world.publish('scanner', stamped))
         return self.of(stamp)[0]
 
     def of(self, stamp):

@@ -16,6 +16,7 @@ import rclpy
 from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Path
 from ros.parts.mixed_world import FACING, PARAMETERS, PLACE, SHAPES, fill, same_scene
+from ros.patience import COMPILING, PATIENCE
 from sensor_msgs.msg import PointCloud2
 from turns import unit_quaternions
 
@@ -30,7 +31,6 @@ ASKED = SHARED + 10
 RNG = np.random.default_rng(17)
 FOOTPRINT = [0.8, 0.5, 0.4]
 GIVEN = {**PARAMETERS, 'footprint': FOOTPRINT, 'nearest_limit': 5, 'threads': 2}
-COMPILING = 300.0  # seconds: what nobody asked for yet is compiled then
 
 
 @pytest.fixture(scope='module')
@@ -57,7 +57,7 @@ def node(ros_context):
 def client(request, world, node):
     """A client, and what of the world it sees."""
     view = request.param == 'even'
-    client = BvhClient(node, f'{world.name}/even' if view else world.name, timeout=120.0)
+    client = BvhClient(node, f'{world.name}/even' if view else world.name, timeout=PATIENCE)
     client.mask = 2 if view else 1
     return client
 
@@ -158,8 +158,9 @@ def test_paths(client, scene):
     assert np.flatnonzero(told.obstacles == UNANSWERED).tolist() == [2]
 
 
+@pytest.mark.usefixtures('patient_client')
 def test_in_another_frame(world, scene, node):
-    client = BvhClient(node, world.name, timeout=120.0)
+    client = BvhClient(node, world.name, timeout=PATIENCE)
     points = RNG.uniform(-8, 8, (50, 3))
     local, turns = FACING.inv().apply(points - PLACE), FACING.inv().as_quat()[None]
     near = answered(lambda: client.nearest_many(local, frame_id='lidar'))
@@ -189,7 +190,7 @@ def replies(world, asked, told, message, kind):
     subscription = world.node.create_subscription(PointCloud2, topics[1], heard.append, 10)
     world.until(lambda: publisher.get_subscription_count() > 0)
     world.until(lambda: subscription.get_publisher_count() > 0)
-    time.sleep(0.2)
+    world.until_found()
     publisher.publish(message)
     world.until(lambda: heard)
     world.node.destroy_publisher(publisher)
@@ -234,10 +235,11 @@ def test_nearest_as_a_service(client, scene, world):
     assert error.startswith('error: ')
 
 
+@pytest.mark.usefixtures('patient_client')
 def test_an_incomplete_world(start_node, node):
     world = start_node({'markers.required': True, 'footprint': [0.3]})
-    client = BvhClient(node, world.name, timeout=120.0)
-    client.wait_until_ready()
+    client = BvhClient(node, world.name, timeout=PATIENCE)
+    client.wait_until_ready(PATIENCE)
     with pytest.raises(BvhError, match='has not spoken yet'):
         client.nearest([0, 0, 0])
     for ask in (

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from ros.conversions.generators import ended
 from ros.conversions.marker_tables import table
+from ros.patience import PATIENCE
 from scene.reference import box_of_triangles
 
 pytest.importorskip('rclpy', reason='rclpy is not installed', exc_type=ImportError)
@@ -93,6 +94,7 @@ def files(tmp_path_factory):
 @pytest.fixture
 def finder(files, monkeypatch):
     monkeypatch.setenv('AMENT_PREFIX_PATH', str(files / 'prefix'))
+    monkeypatch.setattr(mesh_resources, 'MOST_SECONDS', PATIENCE)
     return MeshFiles([str(files / 'meshes')], 100, 50_000)
 
 
@@ -309,7 +311,7 @@ def test_it_is_unknown_until_the_scene_holds_it(finder, files):
 
 @pytest.fixture(scope='module')
 def world(start_node, files):
-    write(files, 'meshes/slow.obj', slow_obj(2_000_000))
+    write(files, 'meshes/slow.obj', slow_obj(200_000))
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv('AMENT_PREFIX_PATH', str(files / 'prefix'))
         return start_node({'mesh_paths': [str(files / 'meshes')]})
@@ -359,7 +361,7 @@ def test_until_a_file_is_read_nothing_looks_free(clean, files, messages):
     world.until(lambda: world.everything() == {'a/1'})
     world.markers(maker(2, f'file://{files}/meshes/slow.obj'))
     answers = []
-    deadline = time.monotonic() + 100
+    deadline = time.monotonic() + PATIENCE
     while answers[-1:] != ['a/2']:
         assert time.monotonic() < deadline
         answer = ''.join(world.names('raycast', *where))

@@ -21,7 +21,7 @@ def test_small_changes_wait_for_a_large_one_and_keep_their_order(world, messages
     for k in range(100):
         world.markers(messages.marker(k // 2, (k, -9, 0), action=2 * (k % 2)))
     world.markers(messages.marker(0, (0, -9, 7), ns='end'))
-    world.until(lambda: world.names('raycast', (0, -9, 9), (0, -9, 5)) == ['end/0'], timeout=60)
+    world.until(lambda: world.names('raycast', (0, -9, 9), (0, -9, 5)) == ['end/0'])
     assert world.names('raycast', *beside) == []
     assert world.names('raycast', (99, 699, 5), (99, 699, -5)) == [f'large/0#{count - 1}']
     assert int(world.status('source markers').values['messages']) >= 103
@@ -38,12 +38,12 @@ def test_large_clouds_that_come_at_once_end_as_the_last_one(start_node, messages
         world.publish('c', messages.cloud(cloud, kind='f4'))
     row = count
     where = row % 500, row // 500
-    world.until(lambda: world.names('raycast', (*where, 21), (*where, 19)) == [f'c#{row}'], 60)
+    world.until(lambda: world.names('raycast', (*where, 21), (*where, 19)) == [f'c#{row}'])
     for height, expected in ((0, []), (10, []), (20, [f'c#{row}'])):
         ends = (*where, height + 1), (*where, height - 1)
-        world.until(lambda: world.names('raycast', *ends) == expected, 60)  # noqa: B023
-    world.until(lambda: world.status('source c').values['points skipped'] in '123', 60)
-    assert world.status('world').values['obstacles'] == str(count)
+        world.until(lambda: world.names('raycast', *ends) == expected)  # noqa: B023
+    world.until(lambda: world.status('source c').values['points skipped'] in '123')
+    world.until(lambda: world.status('world').values['obstacles'] == str(count))
     assert world.trigger('validate').success
 
 

@@ -263,5 +263,6 @@ def test_a_large_tree_is_built_anew_by_a_helper_and_a_copy_answers(server, messa
     assert server.world.changes.owner is None
     for _ in work:
         assert is_there(server.world.scene, 0)
-    assert len(threads) == 2 and threading.current_thread() not in threads
+    assert len(threads) == 2
+    assert threading.current_thread() not in threads
     triggers.destroy()

@@ -6,41 +6,12 @@ import itertools
 
 import numpy as np
 import pytest
-from builtin_interfaces.msg import Time
 
 from bvh_ros.scene import NodeScene, Shapes
 
-rclpy = pytest.importorskip('rclpy', reason='rclpy is not installed', exc_type=ImportError)
+pytest.importorskip('rclpy', reason='rclpy is not installed', exc_type=ImportError)
 
-
-class Simulation:
-    """A node that follows a /clock of this test."""
-
-    def __init__(self, world):
-        from rosgraph_msgs.msg import Clock
-
-        self.world = world
-        self._message = Clock
-        self._publisher = world.node.create_publisher(Clock, f'{world.namespace}/clock', 1)
-        world.until(lambda: self._publisher.get_subscription_count() > 0)
-
-    def at(self, seconds):
-        """Set the node's time, and wait until the node has it: error replies are stamped so."""
-        whole, rest = divmod(round(seconds * 1e9), 10**9)
-        message = self._message(clock=Time(sec=whole, nanosec=rest))
-
-        def arrived():
-            self._publisher.publish(message)  # again and again: /clock is best effort
-            return abs(self.now() - seconds) < 1e-6
-
-        self.world.until(arrived)
-
-    def now(self):
-        header = self.world.plan('raycast', (float('nan'), 0, 0), (1, 0, 0)).header
-        return header.stamp.sec + header.stamp.nanosec / 1e9
-
-    def destroy(self):
-        self.world.node.destroy_publisher(self._publisher)
+from ros.simulation import REMAP, Simulation
 
 
 @pytest.fixture
@@ -48,7 +19,7 @@ def simulate(start_node):
     started = []
 
     def start(**parameters):
-        world = start_node({'use_sim_time': True, **parameters}, remap='/clock:=clock')
+        world = start_node({'use_sim_time': True, **parameters}, remap=REMAP)
         started.append(Simulation(world))
         return started[-1]
 

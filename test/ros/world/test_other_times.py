@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from builtin_interfaces.msg import Time
 from ros.clouds import table
+from ros.patience import PATIENCE
 
 pytest.importorskip('rclpy', reason='rclpy is not installed', exc_type=ImportError)
 
@@ -270,7 +271,7 @@ def gaps(points, places):
 def test_points_boxes_and_paths_are_about_their_times(clean):
     from bvh_ros.client import BvhClient, BvhError
 
-    client = BvhClient(clean.node, clean.name, timeout=20.0)
+    client = BvhClient(clean.node, clean.name, timeout=PATIENCE)
     rng, count, now = np.random.default_rng(6), 60, time.time_ns()
     places, speeds = rng.uniform(-9, 9, (30, 3)), rng.uniform(-4, 4, (30, 3))
     tell(clean, np.column_stack((np.arange(30), places, speeds)), now)
@@ -323,8 +324,8 @@ def test_points_boxes_and_paths_are_about_their_times(clean):
 def test_the_client_asks_about_times(clean):
     from bvh_ros.client import BvhClient, BvhError
 
-    client = BvhClient(clean.node, clean.name, timeout=60.0)
-    client.wait_until_ready()
+    client = BvhClient(clean.node, clean.name, timeout=PATIENCE)
+    client.wait_until_ready(PATIENCE)
     now = time.time_ns()
     tell(clean, [[1, 10, 0, 0, -5, 0, 0]], now)
     ends = (0, 0, 0), (20, 0, 0)
@@ -373,8 +374,8 @@ def test_a_node_of_which_no_source_predicts_does_not_look_at_stamps(start_node, 
             assert when(pose) > SECOND
     from bvh_ros.client import BvhClient, BvhError
 
-    client = BvhClient(world.node, world.name, timeout=60.0)
-    client.wait_until_ready()
+    client = BvhClient(world.node, world.name, timeout=PATIENCE)
+    client.wait_until_ready(PATIENCE)
     with pytest.raises(BvhError, match='cannot answer'):
         client.raycast_many(np.zeros((1, 3)), np.ones((1, 3)), at=time.time_ns())
     assert 'other times than now' in world.status('world').values['off']
@@ -435,7 +436,7 @@ def test_a_client_asks_old_data_to_the_nanosecond(clean):
     then = time.time_ns() - 25 * 365 * 86_400 * SECOND  # 25 years before the client's clock
     speed, rays = [1.3, 0.0, 0.0], ([[0.0, 0.0, 0.0]], [[1.0, 0.0, 0.0]], 100.0)
     tell(clean, [[0, 5, 0, 0, *speed]], then)
-    scene, client = NodeScene(), BvhClient(clean.node, clean.name, timeout=60.0)
+    scene, client = NodeScene(), BvhClient(clean.node, clean.name, timeout=PATIENCE)
     shapes = Shapes.boxes([[5, 0, 0]], [1, 1, 1])
     scene.update('tracks', ['0'], shapes, stamp=then, velocities=[speed])
     for later in (0, 123_456_789, 876_543_211):

@@ -7,6 +7,7 @@ import time
 import numpy as np
 import pytest
 from builtin_interfaces.msg import Time
+from ros.patience import PATIENCE
 
 pytest.importorskip('rclpy', reason='rclpy is not installed', exc_type=ImportError)
 
@@ -119,8 +120,8 @@ def keeping(start_node):
 @pytest.mark.slow
 def test_a_node_answers_about_its_past(keeping, messages):
     world, now = keeping, time.time_ns()
-    client = BvhClient(world.node, world.name, timeout=60.0)
-    client.wait_until_ready()
+    client = BvhClient(world.node, world.name, timeout=PATIENCE)
+    client.wait_until_ready(PATIENCE)
     world.trigger('clear')
     for tick in range(4):
         cloud = messages.cloud({'x': [10.0 + tick], 'y': [0], 'z': [0]})

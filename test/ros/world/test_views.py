@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from ros.patience import PATIENCE
 
 pytest.importorskip('rclpy', reason='rclpy is not installed', exc_type=ImportError)
 
@@ -215,7 +216,7 @@ def test_names_that_cannot_be_used_are_refused_at_start(configure, parameters, c
 def test_a_client_of_a_view_learns_names_from_the_node(viewed, ros):
     from bvh_ros.client import BvhClient, BvhTimeoutError
 
-    client = BvhClient(ros[0], f'{viewed.name}/arm')
+    client = BvhClient(ros[0], f'{viewed.name}/arm', timeout=PATIENCE)
     hits = client.raycast_many([[-90.0, 0, 0]], [[1.0, 0, 0]])
     (name,) = client.names(hits.obstacles).values()
     assert name == client.raycast((-90, 0, 0), (1e6, 0, 0)).name

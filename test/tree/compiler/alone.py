@@ -16,7 +16,7 @@ def run_alone(code: str, *arguments: str, cwd: Path | None = None, **environment
         [sys.executable, '-c', textwrap.dedent(code), *arguments],
         capture_output=True,
         text=True,
-        timeout=800,  # seconds: it may compile, on a loaded machine
+        timeout=3000,  # seconds: it may compile, on a loaded machine
         env={**os.environ, **environment},
         cwd=cwd,
         check=False,

@@ -103,7 +103,7 @@ import subprocess, sys, time
 from pathlib import Path
 from bvh_ros import DynamicBVH
 
-folder, deadline = Path(sys.argv[1]), time.monotonic() + 120.0
+folder, deadline = Path(sys.argv[1]), time.monotonic() + 2000.0
 if len(sys.argv) > 2:
     subprocess.Popen = None
 DynamicBVH().insert([1, -1, -1], [2, 1, 1])

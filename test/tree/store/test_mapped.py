@@ -110,7 +110,7 @@ def test_processes_share_a_file_and_keep_the_one_they_opened(tmp_path):
     tree.save(tmp_path / 'tree', mapped=True)
     shared = DynamicBVH.load(tmp_path / 'tree', mmap=True)
     other = [sys.executable, '-c', ASK, str(tmp_path / 'tree')]
-    said = subprocess.run(other, check=True, capture_output=True, text=True, timeout=200).stdout
+    said = subprocess.run(other, check=True, capture_output=True, text=True, timeout=3000).stdout
     assert json.loads(said) == wanted
     DynamicBVH().save(tmp_path / 'tree', mapped=True)  # puts a new file in its place
     assert shared.overlap([0, 0, 0], [9, 9, 9]).tolist() == wanted
@@ -219,7 +219,7 @@ def test_no_damaged_file_ends_the_process(tmp_path, ndim, margin):
     """Refused, or some answer; refused, or the right answer, where all is verified."""
     lived_in(ndim, margin, 40).save(tmp_path / 'tree', mapped=True)
     how = [sys.executable, '-c', DAMAGE, str(tmp_path / 'tree'), str(ndim), str(DAMAGES)]
-    run = subprocess.run(how, capture_output=True, text=True, timeout=800, env=WITH_TESTS)
+    run = subprocess.run(how, capture_output=True, text=True, timeout=3000, env=WITH_TESTS)
     assert run.returncode == 0, run.stderr
     counts = ast.literal_eval(run.stdout)
     assert {*counts} - {'False other'} == {

@@ -112,7 +112,7 @@ def test_a_forked_process_has_threads_of_its_own() -> None:
         target=tree.raycast_many, args=(ORIGINS, WAYS), kwargs={'threads': 2}, daemon=True
     )
     child.start()
-    child.join(30)
+    child.join(1000)
     child.kill()
     assert child.exitcode == 0
 
@@ -129,7 +129,7 @@ HANDLER = """
     import numpy as np
     from bvh_ros import DynamicBVH
 
-    faulthandler.dump_traceback_later(100, exit=True)
+    faulthandler.dump_traceback_later(2000, exit=True)
     lo = np.random.default_rng(0).uniform(0, 50, (400, 3))
     tree = DynamicBVH.from_boxes(lo, lo + 1)
     ask = lambda: tree.raycast_many(lo, lo[::-1], threads=3).ids.tolist()

@@ -18,7 +18,7 @@ from bvh_ros.tree.access import OpenTree
 # Boxes stand in one of two places, all at once. Further ones come and go, and make the arrays
 # grow, where masks hide them. So each answer is that for one of the two places.
 RUN = """
-    import collections, sys, threading, time
+    import collections, faulthandler, os, sys, threading, time
     import numpy as np
     from bvh_ros import DynamicBVH
 
@@ -66,8 +66,19 @@ RUN = """
     other.insert([0, 0, 0], [1, 1, 1], 4)
     other.optimize()
     other.rebuild()
+    faulthandler.dump_traceback_later(2000, exit=True)  # says where it hangs
     stop = time.monotonic() + float(sys.argv[3])
     counts = collections.Counter()
+
+    def goes_on():  # so long, and until each question had an answer and something was refused
+        seen = counts['all', 'refused'] and all(counts[name, 'done'] for name in which)
+        return time.monotonic() < stop or not seen
+
+    def end(raised):  # what a thread raises ends all of them
+        sys.excepthook(*raised[:3])
+        os._exit(1)
+
+    threading.excepthook = end
 
     def attempt(name, call):
         try:
@@ -75,13 +86,14 @@ RUN = """
         except RuntimeError as error:
             assert 'by another thread' in str(error), error
             counts[name, 'refused'] += 1
+            counts['all', 'refused'] += 1
             return None
         counts[name, 'done'] += 1
         return answer
 
     def ask(first):
         turn = first
-        while time.monotonic() < stop:
+        while goes_on():
             name = which[turn % len(which)]
             turn += 1
             answer = attempt(name, lambda: (questions[name](tree),))
@@ -91,7 +103,7 @@ RUN = """
     def change(seed):
         turns = np.random.default_rng(seed)
         extra = np.array([], np.int64)
-        while time.monotonic() < stop:
+        while goes_on():
             kind = turns.integers(8)
             if kind < 3:
                 lo = places[turns.integers(2)]
@@ -116,13 +128,9 @@ RUN = """
     for thread in threads:
         thread.start()
     for thread in threads:
-        thread.join(60)
-    assert not any(thread.is_alive() for thread in threads), 'hangs'
+        thread.join()
     tree.validate()
     assert not [key for key in counts if key[1] == 'WRONG'], counts
-    for name in which:
-        assert counts[name, 'done'], (name, counts)
-    assert sum(n for key, n in counts.items() if key[1] == 'refused'), counts
     tree.insert([0, 0, 0], [1, 1, 1])
 """
 
@@ -191,6 +199,13 @@ FORK = """
     lo = np.random.default_rng(3).uniform(0, 60, (3000, 3))
     tree = DynamicBVH.from_boxes(lo, lo + 1)
     tree.raycast_many(lo, lo, threads=2)
+    other = DynamicBVH.from_boxes(lo, lo + 1)  # all that is called is compiled, or loaded
+    other.move(int(other.ids()[0]), lo[1], lo[1] + 1)
+    other.move_many(other.ids()[:50], lo[50:100], lo[50:100] + 1)
+    other.insert([0, 0, 0], [1, 1, 1])
+    other.raycast_many(lo, lo)
+    other.rebuild()
+    other.validate()
     stop = False
 
     def busy():
@@ -209,12 +224,13 @@ FORK = """
     threads = [threading.Thread(target=busy) for _ in range(2)]
     for thread in threads:
         thread.start()
-    codes = []
-    for turn in range(int(sys.argv[2])):
-        time.sleep(0.003 * (turn % 5))
+    codes, allowed = [], {0, 256} if changes else {0}
+    # On to a fork between two changes: on a loaded machine that may be a late one.
+    while (len(codes) < int(sys.argv[2]) or 0 not in codes) and set(codes) <= allowed:
+        time.sleep(0.003 * (len(codes) % 5))
         child = os.fork()
         if child == 0:
-            signal.alarm(200)  # seconds: it may compile, on a loaded machine
+            signal.alarm(1000)  # seconds: a loaded machine is slow
             code = 0
             try:
                 tree.raycast_many(lo, lo, threads=2)
@@ -232,8 +248,7 @@ FORK = """
     for thread in threads:
         thread.join()
     tree.validate()
-    allowed = {0, 256} if changes else {0}
-    assert set(codes) <= allowed and 0 in codes, codes
+    assert set(codes) <= allowed, codes
 """
 
 
