@@ -8,6 +8,7 @@ from .batch.single import (
     Surroundings,
     cast_few,
     few_entry,
+    meet_boxes,
     next_ball_leaf,
     next_near_leaf,
     next_wide_leaf,

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ...tree.access import ALL, NONE, Near, no_plane32, pruning_limit, set_plane32
+from ...tree.access import ALL, NONE, Near, meet_boxes, no_plane32, pruning_limit, set_plane32
 from ...tree.compiler import chosen_by_types, inlined, lean_kernel, stack_array
 from ..shapes.footprint import closest_on_footprint
 from ..shapes.hull import are_any, form_of, hull_of, hull_of_point, surface_of, triangle_hull
@@ -712,7 +712,8 @@ def visit_triangles(pair, touches, best):
         normals[0, axis] = normals[1, axis] = 0.0
     planes = Plane(normals[0], begins[:1], doubt), Plane(normals[1], begins[1:], doubt)
     compared = Compared(pair, touches, places, other_places, planes, above)
-    visit_near(compared, surface, query, best, pruning_limit(limit), above, _look_at_triangle)
+    limit = pruning_limit(limit)
+    visit_near(compared, surface, query, best, limit, above, meet_boxes, _look_at_triangle)
 
 
 @inlined
@@ -743,7 +744,8 @@ def visit_both(pair, touches, best):
     above = stack_array(4, np.float32)
     no_plane32(above)
     compared = Compared(pair, touches, places, places, None, above)
-    visit_near(compared, surface, query, best, pruning_limit(limit), above, _look_at_other)
+    limit = pruning_limit(limit)
+    visit_near(compared, surface, query, best, limit, above, meet_boxes, _look_at_other)
 
 
 @lean_kernel

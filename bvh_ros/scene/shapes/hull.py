@@ -58,6 +58,8 @@ class Hulls(NamedTuple):
     """Of the snapshots of the meshes' trees, a wide node a row."""
     children: NDArray[np.int32]
     """The same."""
+    triangles: NDArray[np.float32]
+    """The same."""
     rows: NDArray[np.int32]
     """Of the triangles as given, one a triangle."""
 
@@ -108,7 +110,7 @@ class _Joined:
             *(_Rows(np.empty((0, 3), np.int32)), _Rows(np.empty((0, 3)))),
             _Rows(np.empty(0, node_dtype(3))),
             _Rows(np.empty((0, 3))),
-            *(_Rows(NO_WIDE.planes), _Rows(NO_WIDE.children)),
+            *(_Rows(NO_WIDE.planes), _Rows(NO_WIDE.children), _Rows(NO_WIDE.triangles)),
             _Rows(np.empty(0, np.int32)),
         ]
         self._all_convex, self.depth = True, 0
@@ -130,6 +132,7 @@ class _Joined:
             mesh.seeds,
             wide.planes,
             wide.children,
+            wide.triangles,
             mesh.rows,
         )
         places = [column.append(rows) for column, rows in zip(self._columns, given, strict=True)]
@@ -249,6 +252,7 @@ def numbered_surface(hulls, number):
     node, last = span.wide[0], span.wide[1]
     children = hulls.children[node:last].reshape(-1)
     planes = hulls.planes[node:last].reshape(-1)
+    triangles = hulls.triangles[node:last].reshape(-1)
     units = span.center, span.per_length
     return Surface(
         hulls.vertices[span.vertices[0] : span.vertices[1]],
@@ -256,7 +260,7 @@ def numbered_surface(hulls, number):
         hulls.nodes[2 * first : 2 * stop],
         span.root,
         span.radius,
-        Wide(planes, children, children.view(np.uint32), *units, last - node, 0),
+        Wide(planes, children, children.view(np.uint32), triangles, *units, last - node, 0),
     )
 
 

@@ -797,6 +797,9 @@ class WideNodes(NamedTuple):
     """(n, 6 WIDTH)"""
     children: NDArray[np.int32]
     """(n, WIDTH)"""
+    triangles: NDArray[np.float32]
+    """(n, 9 WIDTH): the corners of the triangles that are children, in the snapshot's units: x of
+    the first corner of all, its y, and so on; zeros of other children."""
     center: Floats
     """(3,)"""
     per_length: float
@@ -805,7 +808,12 @@ class WideNodes(NamedTuple):
 
 
 NO_WIDE = WideNodes(
-    np.empty((0, 6 * WIDTH), np.float32), np.empty((0, WIDTH), np.int32), np.zeros(3), 1.0, 0
+    np.empty((0, 6 * WIDTH), np.float32),
+    np.empty((0, WIDTH), np.int32),
+    np.empty((0, 9 * WIDTH), np.float32),
+    np.zeros(3),
+    1.0,
+    0,
 )
 
 
@@ -985,7 +993,12 @@ class Mesh:
             planes = snapshot.planes.reshape(-1, 6 * WIDTH)[: snapshot.size]
             children = snapshot.children.reshape(-1, WIDTH)[: snapshot.size]
             units = snapshot.center, snapshot.per_length
-            wide = WideNodes(planes, children, *units, snapshot.depth)
+            triangles = np.zeros((*children.shape, 9), np.float32)
+            leaves = children < 0
+            corners = self.vertices[self.corners[~children[leaves]]]
+            triangles[leaves] = ((corners - units[0]) * units[1]).reshape(-1, 9)
+            lanes = triangles.transpose(0, 2, 1).reshape(-1, 9 * WIDTH)
+            wide = WideNodes(planes, children, lanes, *units, snapshot.depth)
         nodes, _, _, root = tree.arrays()
         return nodes, int(root), wide
 

@@ -49,6 +49,7 @@ from ...tree.access import (
 )
 from ...tree.compiler import inlined, lean_kernel, stack_array
 from .shape import length
+from .triangles32 import meet_triangles
 
 
 class Surface(NamedTuple):
@@ -70,6 +71,8 @@ class Wide(NamedTuple):
     children: Any
     masks: Any
     """Nobody reads them: every triangle is seen."""
+    triangles: Any
+    """See `WideNodes`."""
     center: Any
     per_length: Any
     size: Any
@@ -789,10 +792,10 @@ def gap_square(nodes, node, query, limit):
 
 
 @inlined
-def visit_near(near_by, surface, query, best, limit, plane, look_at):
+def visit_near(near_by, surface, query, best, limit, plane, meet, look_at):
     """`visit_nearest` of the triangles of a surface: through the snapshot of their tree if there
     is one, and the query is near enough. `plane` as of `set_plane32`: what does not reach it is
-    left out.
+    left out. `meet` as of `next_near_leaf`.
     """
     nodes, wide, count = surface.nodes, surface.wide, np.int64(0)
     box, entries = stack_array(6, np.float32), stack_array(STACK, np.int64)
@@ -804,7 +807,7 @@ def visit_near(near_by, surface, query, best, limit, plane, look_at):
     while top > 0 and limit >= 0.0:
         if suited:
             around = Surroundings(box, square32(limit, wide.per_length), plane)
-            face, top = next_near_leaf(wide, around, entries, top)
+            face, top = next_near_leaf(wide, around, entries, top, meet)
         else:
             leaf, top = next_leaf(nodes, query, limit, stack, top, gap_square)
             face = leaf >> 1  # NONE of NONE
@@ -837,7 +840,7 @@ def closest_on_surface(surface, point, out):
     near_by = NearestPoint(surface, out, towards)
     plane = stack_array(4, np.float32)
     no_plane32(plane)
-    visit_near(near_by, surface, query, best, np.inf, plane, _look_at_triangle)
+    visit_near(near_by, surface, query, best, np.inf, plane, meet_triangles, _look_at_triangle)
     if largest <= FAR:
         return math.sqrt(best[0])
     for axis in range(3):

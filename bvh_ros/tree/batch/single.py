@@ -159,13 +159,19 @@ def square32(square, unit):
 
 
 @inlined
-def next_near_leaf(snapshot, around, stack, top):
-    """The next leaf whose box is within a squared distance of a box: (slot or NONE, top)."""
-    return next_child(snapshot, around, bits_of(around.limit), ALL32, stack, top, _meet_box)
+def next_near_leaf(snapshot, around, stack, top, meet):
+    """The next leaf whose box is within a squared distance of a box: (slot or NONE, top).
+
+    meet(snapshot, around, node, nearest) begins with `meet_boxes`, and may leave out more leaves.
+    """
+    return next_child(snapshot, around, bits_of(around.limit), ALL32, stack, top, meet)
 
 
 @inlined
-def _meet_box(snapshot, around, node, nearest):
+def meet_boxes(snapshot, around, node, nearest):
+    """Bit mask of the children whose boxes are near enough; `nearest` becomes the bits of their
+    squared distances.
+    """
     lanes = near16(snapshot.planes, node, around.box, around.limit, nearest)
     if around.plane[3] > -np.inf:
         lanes &= above16(snapshot.planes, node, around.plane)

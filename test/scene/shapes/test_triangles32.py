@@ -1,0 +1,95 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""The nearest triangles of large meshes, which float32 sorts out, are those of small meshes, where
+float64 looks at every triangle.
+"""
+
+import numpy as np
+import pytest
+from scene.reference import icosphere, scene_of
+from scipy.spatial.transform import Rotation
+
+from bvh_ros.scene import Mesh, Shapes
+
+PART = 16  # triangles: so few have no snapshot
+EYE = (0.0, 0.0, 0.0, 1.0)
+
+
+def needles(rng):
+    """Long and narrow: with a normal that float32 sees, or not."""
+    start, along, across = rng.normal(size=(3, 240, 3))
+    width = 10.0 ** rng.uniform(-9, 0, (240, 1))
+    end = start + along
+    return np.stack([start, end, start + rng.random((240, 1)) * along + width * across], axis=1)
+
+
+def decades(rng):
+    """Small and large ones."""
+    size = 10.0 ** rng.uniform(-6, 0, (240, 1, 1))
+    return rng.normal(size=(240, 1, 3)) + size * rng.normal(size=(240, 3, 3))
+
+
+def layers(rng):
+    """So close to each other that float32 does not tell which one is nearer."""
+    corners = rng.uniform(-1, 1, (240, 3, 3))
+    corners[:, :, 2] = 10.0 ** rng.uniform(-12, -6, (240, 1))
+    turned = Rotation.random(random_state=1).apply(corners.reshape(-1, 3))
+    return turned.reshape(-1, 3, 3)
+
+
+FAMILIES = {
+    'needles': needles,
+    'decades': decades,
+    'layers': layers,
+    'sphere': lambda rng: icosphere(2) + 0.0 * rng.random(),
+    'far from its origin': lambda rng: 1000.0 + needles(rng),
+}
+
+
+def points_around(triangles, rng):
+    """At corners and on triangles, hardly beside them, beside them, and far away."""
+    shares = rng.dirichlet((1, 1, 1), 40)
+    rows = rng.integers(0, len(triangles), 40)
+    on = (shares[:, :, None] * triangles[rows]).sum(axis=1)
+    hardly = on + rng.normal(size=on.shape) * 10.0 ** rng.uniform(-12, -3, (40, 1))
+    beside = on + rng.normal(size=on.shape)
+    far = on + rng.normal(size=on.shape) * 10.0 ** rng.uniform(1, 5, (40, 1))
+    return np.concatenate([triangles[rows[:20], 0], on, hardly, beside, far])
+
+
+@pytest.mark.parametrize('decade', [-6, 0, 6])
+@pytest.mark.parametrize('name', FAMILIES)
+def test_no_nearer_triangle_is_left_out(name, decade):
+    rng = np.random.default_rng(3)
+    triangles = FAMILIES[name](rng)
+    points = points_around(triangles, rng) * 10.0**decade
+    triangles = triangles * 10.0**decade
+    one = np.zeros((1, 3))
+    whole = scene_of(Shapes.of_meshes(Mesh(triangles, solid=False), one))
+    parts = [Mesh(triangles[i : i + PART], solid=False) for i in range(0, len(triangles), PART)]
+    apart = [scene_of(Shapes.of_meshes(part, one)) for part in parts]
+    size = rng.random((len(points), 3)) * 10.0**decade * 0.3
+    turn = rng.normal(size=(len(points), 4))
+    turn /= np.linalg.norm(turn, axis=1, keepdims=True)
+    turn[::2] = EYE
+    rows = np.arange(0, len(points), 4)
+    bodies = [
+        Shapes.spheres(points, 1e-3 * 10.0**decade),
+        Shapes.boxes(points, size, turn),
+        Shapes.of_meshes(
+            Mesh(icosphere(1) * 0.1 * 10.0**decade, solid=False), points[rows], turn[rows]
+        ),
+    ]
+    rounded = 1e-14 * (np.abs(points).max(axis=1) + np.abs(triangles).max())
+    _, found, _ = whole.nearest_many(points)
+    assert_least(found[:, 0], [scene.nearest_many(points)[1][:, 0] for scene in apart], rounded)
+    for body in bodies:
+        _, found, _, _ = whole.clearance_many(body)
+        each = [scene.clearance_many(body)[1] for scene in apart]
+        assert_least(found, each, rounded if len(found) == len(rounded) else rounded[::4])
+
+
+def assert_least(found, each, rounded):
+    wanted = np.min(each, axis=0)
+    assert (np.abs(found - wanted) <= 1e-9 * wanted + rounded).all()
+    assert (found > 0.0).any()
