@@ -54,6 +54,7 @@ from .query import (
     found_in,
     make_row,
     nearest_kernel,
+    number_of,
     overlap_kernel,
     with_records,
 )
@@ -353,7 +354,7 @@ class Overlaps:
         """`find` of n shapes, plain `QueryRows`: what is `wanted` (see `WANTED`) of each,
         as `Scene.overlap_many` returns it; None if a row that is `given` is not legal.
         """
-        columns, count, done = self._columns, len(rows[0]) or len(rows[4][1]), 0
+        columns, count, done = self._columns, number_of(rows), 0
         narrow, results = columns.shaped > 0 or begin_shaped(rows), room_for(count, wanted)
         parts: list[NDArray[np.uint32]] = []
         if threads == 1:  # without what others take: a fifth of a call of a row
@@ -393,7 +394,7 @@ class Overlaps:
         """
         wanted, threads, narrow, first = options
         bodies = bodies_of(self._columns, hulls) if narrow else None
-        count = len(rows[0]) or len(rows[4][1])
+        count = number_of(rows)
         parts: list[NDArray[np.uint32]] = []
         work = partial(self._work, view, bodies, rows, wanted, results)
         for done in in_threads(work, count, threads) if first == 0 else [work(first, count)]:
@@ -869,7 +870,7 @@ class Clearances:
         options = (reaches, the node handle that is left out, whether distances have a sign),
         `slots`: room for theirs. None if a row that is `given` is not legal.
         """
-        columns, count = self._columns, len(rows[0]) or len(rows[4][1])
+        columns, count = self._columns, number_of(rows)
         bodies, results, begun = bodies_of(columns, hulls), room_for_neighbours(count, slots), 0
         view = self._tree.latest() if threads == 1 else self._tree.view()
         if threads == 1:  # without what others take
