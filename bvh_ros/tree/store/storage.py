@@ -133,13 +133,14 @@ def clear(tree):
 
 @lean_kernel
 def inherit(old, new):
-    """Fill an heir, unless it is; CHANGED if the old tree is being changed.
+    """Fill an heir, unless it is; CHANGED if the old tree is being changed, or another thread
+    fills or changes the heir: handles are looked up without a turn, so none may see it before.
 
     The turn that this takes at the old tree is that of a query that never ends: it may be read
     further on, but not be changed.
     """
     if replace_atomically(new.state, TURN, UNFILLED, CHANGING) != UNFILLED:
-        return np.int64(0)
+        return np.int64(CHANGED if add_atomically(new.state, TURN, 0) < 0 else 0)
     if add_atomically(old.state, TURN, 1) < 0:
         add_atomically(old.state, TURN, -1)
         new.state[TURN] = UNFILLED
