@@ -5,13 +5,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from functools import cached_property
 from typing import Any, NamedTuple, overload
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..tree.access import shown_point, shown_rows
+from .shapes.lazy import LazyProperty
 from .shapes.shape import Floats, ShapeKind
 
 # ---- What the scene returns.
@@ -111,14 +111,14 @@ class CastHits(_Casts):
 
     _triangles: Floats | None = None  # (n, 3) row, u and v of triangles; None: there are none
 
-    @cached_property
+    @LazyProperty
     def triangles(self) -> NDArray[np.int64]:
         """(n,) rows of triangles, as `SceneHit.triangle`; -1 where a way is free, too."""
         if self._triangles is None:
             return np.full(len(self.handles), -1)
         return self._triangles[:, 0].astype(np.int64)
 
-    @cached_property
+    @LazyProperty
     def uv(self) -> Floats:
         """(n, 2) as `SceneHit.uv`; NaN where the triangle is -1."""
         if self._triangles is None:

@@ -6,7 +6,6 @@ import hashlib
 import math
 import os
 from fractions import Fraction
-from functools import cached_property
 from typing import Any, NamedTuple
 from weakref import WeakValueDictionary
 
@@ -15,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ...tree.access import OpenTree, checks, take_snapshot
 from ...tree.compiler import WIDTH, inlined, lean_kernel, stack_array
+from .lazy import LazyProperty
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -983,7 +983,7 @@ class Mesh:
         """Its snapshot; without nodes for few triangles, or where float32 sees too little."""
         return self._trees[2]
 
-    @cached_property
+    @LazyProperty
     def _trees(self) -> 'tuple[NDArray[Any], int, WideNodes]':
         tree = tree_over(self.vertices[self.corners], float(self.size.max()))
         snapshot, wide = None, NO_WIDE
@@ -1002,30 +1002,30 @@ class Mesh:
         nodes, _, _, root = tree.arrays()
         return nodes, int(root), wide
 
-    @cached_property
+    @LazyProperty
     def outline(self) -> Floats:
         """(k, 2) corners, counter-clockwise, of what is seen from above of the unturned mesh, if
         that is convex.
         """
         return convex_polygon(self.vertices[:, :2])
 
-    @cached_property
+    @LazyProperty
     def shadow(self) -> tuple[Floats, NDArray[np.int32]]:
         """The same of any mesh: see `flattened`."""
         return flattened(self.vertices, self.corners)
 
-    @cached_property
+    @LazyProperty
     def discs(self) -> Floats:
         """What `farthest_vertex` needs of a convex mesh."""
         return discs(self.vertices if self.convex else self.vertices[:0])
 
-    @cached_property
+    @LazyProperty
     def reaches(self) -> Floats:
         """What `reach_both_ways` needs: nothing of few vertices."""
         many = len(self.vertices) > FEW
         return grid_of_reaches(self.vertices, self.radius) if many else NO_REACHES
 
-    @cached_property
+    @LazyProperty
     def seeds(self) -> Floats:
         """(k, 3) a corner of each part whose triangles hang together."""
         if self.convex:
