@@ -635,6 +635,7 @@ def closest_on_segment(a, b, point, out):
     return total
 
 
+FOOT = 2.0**-46  # of the coordinates: how far a foot may be off
 ROUND = 2.0**-20  # of the square of a triangle's longest edge: of more, its normal has digits
 
 
@@ -645,12 +646,24 @@ def closest_on_triangle(vertices, corner, point, out):
     return closest_between(a, b, c, point, out)
 
 
+@inlined
+def is_between(a, b, c, point, place):
+    """Whether a place is in the box around a triangle, but for what rounds it at a point."""
+    inside = True
+    for axis in range(3):
+        low, high = min(a[axis], b[axis], c[axis]), max(a[axis], b[axis], c[axis])
+        doubt = FOOT * max(abs(point[axis]), abs(low), abs(high), abs(point[axis] - place[axis]))
+        inside = inside and low - doubt <= place[axis] <= high + doubt
+    return inside
+
+
 @lean_kernel
 def closest_between(a, b, c, point, out):
     """The same of the triangle with these corners.
 
     It is the foot of the perpendicular if that is in the triangle, else on an edge with the point
-    on its outer side. A sliver, of which rounding leaves no normal, is as near as its edges.
+    on its outer side. A sliver, of which rounding leaves no normal, is as near as its edges. So is
+    a triangle so far away that rounding leaves no side of an edge: its foot lies anywhere.
     """
     x, y, z = point[0], point[1], point[2]
     ax, ay, az = a[0] - x, a[1] - y, a[2] - z
@@ -668,9 +681,11 @@ def closest_between(a, b, c, point, out):
     if square > 0.0 and min(u, v, w) >= 0.0:
         share = (nx * ax + ny * ay + nz * az) / square
         out[0], out[1], out[2] = x + share * nx, y + share * ny, z + share * nz
-        best = (x - out[0]) ** 2 + (y - out[1]) ** 2 + (z - out[2]) ** 2
-        if is_round:
-            return best
+        if is_between(a, b, c, point, out):
+            best = (x - out[0]) ** 2 + (y - out[1]) ** 2 + (z - out[2]) ** 2
+            if is_round:
+                return best
+        is_round = False
     trial = stack_array(3, np.float64)
     for number in range(3):
         start = a if number == 0 else (b if number == 1 else c)

@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Meshes that are not convex: rays in exact integers, distances triangle by triangle."""
 
+import math
 from fractions import Fraction
 
 import numpy as np
@@ -372,6 +373,28 @@ def test_nearest_and_depth_of_points(placed):
     assert found[:, 0] == pytest.approx(np.where(inside, -gaps, gaps), abs=1e-12)
     away = np.linalg.norm(places[:, 0] - points, axis=1)
     assert away == pytest.approx(gaps, abs=1e-12)
+
+
+@pytest.mark.parametrize('size', [1e-6, 1e-12, 1e-18, 1e-25])
+def test_far_points_of_a_tiny_triangle(size):
+    """So far that rounding leaves no side of its edges."""
+    tiny = [(0, 0, 0), (size, 0, 0), (0.3 * size, size, 0.2 * size)]
+    scene = scene_of(Shapes.of_meshes(Mesh([tiny, np.full((3, 3), -1e3) + np.eye(3)]), [0, 0, 0]))
+    points = np.random.default_rng(7).normal(size=(200, 3)) + 20.0
+    _, found, places = scene.nearest_many(points)
+    assert found[:, 0] == pytest.approx(np.linalg.norm(points, axis=1), rel=3e-6 * size / 1e-6)
+    assert (abs(places) <= 2.0 * size + 1e-14).all()
+
+
+def test_a_crack_of_one_rounding_seen_from_above():
+    u, v = np.nextafter(0.3, 1), np.nextafter(0.4, 1)
+    crack = [(0.3, 0.4, 0), (u, 0.4, 0.7), (0.3, v, 1)]
+    wall = [(0.3, 0.4, 0), (1.3, 0.4, 0), (1.3, 0.4, 1)]
+    mesh = Mesh([wall, crack], solid=False)
+    scene = scene_of(Shapes.of_meshes(mesh, [0, 0, 0]), planar=True)
+    for point in ((-30.0, 7.0), (-2.0, 5.0)):
+        (hit,) = scene.nearest(point)
+        assert hit.t == pytest.approx(math.dist(point, (0.3, 0.4)), rel=1e-15)
 
 
 def test_clearance_and_overlap_of_balls(placed):
