@@ -11,16 +11,12 @@ import math
 import numpy as np
 
 from ...tree.access import DIRECTION, INSIDE, ORIGIN, intersect_exact
-from ...tree.compiler import lean_kernel, stack_array
-from ..distance.gjk import dot
+from ...tree.compiler import lean_kernel
 from ..distance.narrow_phase import closest_on_mesh
-from ..shapes.footprint import FACE, ROUND
-from ..shapes.hull import form_of, surface_of
-from ..shapes.mesh import CONVEX
+from ..shapes.footprint import ROUND
 from ..shapes.shape import BOX, CAPSULE, CYLINDER, MESH, SPHERE, length, rotate, scale_of
-from ..shapes.surface import coordinates_in
 from .arguments import clear_triangle
-from .mesh import enter_mesh
+from .mesh import enter_mesh, touch_mesh
 from .shapes import (
     COORDINATES,
     FRAME_SLACK,
@@ -165,6 +161,11 @@ def contact(shape, hulls, pair, hit, given, work, point, normal, triangle):
     """
     (ray, lo, hi), radius = pair, radius_of(given)
     t, feature = hit
+    if shape.kind == MESH and radius == 0.0:
+        if hulls is not None:
+            touch_mesh(hulls, shape, ray, hit, point, normal, triangle)
+        return
+    clear_triangle(triangle)
     frame = to_frame(shape, lo, hi, ray, radius, work)
     s = t * frame.pace if t > 0.0 else 0.0
     centre, direction, closest, outward, scale = work[0], work[1], work[2], work[3], frame.scale
@@ -177,8 +178,6 @@ def contact(shape, hulls, pair, hit, given, work, point, normal, triangle):
             closest[axis] = min(max(centre[axis], lo[axis]), hi[axis])
     if not shape.shaped:
         scale, noise = 1.0, noise / scale
-    elif radius == 0.0 and shape.kind == MESH:  # the ray is on the mesh already
-        closest[0], closest[1], closest[2] = centre[0], centre[1], centre[2]
     else:
         closest_point(shape, only_with(given, hulls), scale, centre, closest)
     if radius > 0.0:
@@ -187,9 +186,7 @@ def contact(shape, hulls, pair, hit, given, work, point, normal, triangle):
         if length(outward) <= noise:
             outward[0] = outward[1] = outward[2] = 0.0
     elif feature != INSIDE:
-        face_normal(shape, hulls, lo, hi, feature, scale, work)
-    if triangle is not None:
-        note_triangle(shape, hulls, feature, scale, closest, triangle)
+        face_normal(shape, lo, hi, feature, scale, work)
     to_world(shape, scale, closest, outward, point, normal)
     if feature == INSIDE and length(normal) == 0.0:
         for axis in range(3):
@@ -197,18 +194,10 @@ def contact(shape, hulls, pair, hit, given, work, point, normal, triangle):
 
 
 @lean_kernel
-def face_normal(shape, hulls, lo, hi, feature, scale, work):
+def face_normal(shape, lo, hi, feature, scale, work):
     """Fill in the direction outwards where a thin ray enters; a flat face's point lies on it."""
     centre, direction, closest, outward = work[0], work[1], work[2], work[3]
-    if feature >= FACE:
-        if hulls is not None:
-            face = hulls.spans[shape.mesh].faces[0] + feature - FACE
-            along = dot(hulls.normals[face], direction)
-            # Of a convex mesh they point outwards already.
-            sign = -1.0 if along > 0.0 and form_of(hulls, shape) != CONVEX else 1.0
-            for axis in range(3):
-                outward[axis] = sign * hulls.normals[face, axis]
-    elif feature == ROUND:
+    if feature == ROUND:
         outward[0], outward[1] = centre[0], centre[1]
         if shape.kind != CYLINDER:
             outward[2] = centre[2] - axis_point(shape, scale, centre[2])
@@ -218,20 +207,6 @@ def face_normal(shape, hulls, lo, hi, feature, scale, work):
             closest[feature] = outward[feature] * (shape.half[feature] * scale)
         else:
             closest[feature] = lo[feature] if direction[feature] > 0.0 else hi[feature]
-
-
-@lean_kernel
-def note_triangle(shape, hulls, feature, scale, closest, triangle):
-    """Fill in row, u and v of the triangle by which a thin ray enters a mesh, `closest` being the
-    point of the hit.
-    """
-    clear_triangle(triangle)
-    if feature >= FACE:
-        surface, face, place = surface_of(hulls, shape), feature - FACE, stack_array(3, np.float64)
-        for axis in range(3):
-            place[axis] = closest[axis] / scale
-        triangle[0] = hulls.rows[hulls.spans[shape.mesh].faces[0] + face]
-        triangle[1], triangle[2] = coordinates_in(surface.vertices, surface.corners[face], place)
 
 
 @lean_kernel

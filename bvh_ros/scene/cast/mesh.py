@@ -44,8 +44,9 @@ from ..distance.narrow_phase import hull_gap
 from ..shapes.footprint import FACE, ROUND
 from ..shapes.hull import are_any, form_of, hull_of, surface_of, triangle_hull
 from ..shapes.mesh import CONVEX, SHELL, SOLID, farthest_vertex
-from ..shapes.shape import rotate
-from ..shapes.surface import RECORD, closest_between, first_crossing, holds_point
+from ..shapes.shape import ldexp, rotate
+from ..shapes.surface import RECORD, closest_between, coordinates_in, first_crossing, holds_point
+from .arguments import clear_triangle
 from .shapes import approach_by, reach_of, slope_of, time_of
 
 # ---- thin rays
@@ -53,16 +54,17 @@ from .shapes import approach_by, reach_of, slope_of, time_of
 
 @lean_kernel
 def into_frame(radius, shape, given, ray):
-    """Fill in origin and direction of a ray in the frame of a mesh; return (the exponent of the
-    power of two of which the given direction is a multiple, whether it is zero).
+    """Fill in origin and direction of a ray in the frame of a mesh, the direction times a power of
+    two if it is very short or long; return (the exponent of that, whether it is zero).
     """
-    largest = 0.0
+    largest, exponent = 0.0, 0
     for axis in range(3):
         ray[ORIGIN, axis] = given[ORIGIN, axis] - shape.position[axis]
         largest = max(largest, abs(given[DIRECTION, axis]))
-    exponent = -math.frexp(largest)[1]
+    if not SHORT < largest < LONG:
+        exponent = -math.frexp(largest)[1]
     for axis in range(3):
-        ray[DIRECTION, axis] = math.ldexp(given[DIRECTION, axis], exponent)
+        ray[DIRECTION, axis] = ldexp(given[DIRECTION, axis], exponent)
     rotate(shape.orientation, ray[ORIGIN], -1.0)
     rotate(shape.orientation, ray[DIRECTION], -1.0)
     for axis in range(3):  # what is below all digits of the mesh would leave the exact sums
@@ -80,7 +82,7 @@ def enter_triangles(surface, is_solid, shape, pair, t_max):
     exponent, is_still = into_frame(surface.radius, shape, pair.ray, ray)
     if is_solid and holds_point(surface, ray[ORIGIN]):
         return 0.0, np.int64(INSIDE)
-    reach = math.ldexp(t_max, -exponent)
+    reach = ldexp(t_max, -exponent)
     if is_still:
         ray[DIRECTION, 0], reach = 1.0, 0.0
     begin = come_near(surface.radius, ray)
@@ -91,10 +93,10 @@ def enter_triangles(surface, is_solid, shape, pair, t_max):
         return np.inf, ROUND
     if begin + s == 0.0:  # exactly
         return 0.0, np.int64(INSIDE)
-    return min(math.ldexp(begin + s, exponent), t_max), FACE + face
+    return min(ldexp(begin + s, exponent), t_max), FACE + face
 
 
-MINUTE = 2.0**-200
+MINUTE, SHORT, LONG = 2.0**-200, 2.0**-20, 2.0**20
 FARTHEST, GIANT = 2.0**60, 2.0**200  # of a mesh's radius; m
 
 
@@ -116,6 +118,32 @@ def come_near(radius, ray):
     for axis in range(3):
         ray[ORIGIN, axis] += begin * ray[DIRECTION, axis]
     return begin
+
+
+@lean_kernel
+def touch_mesh(hulls, shape, given, hit, point, normal, triangle):
+    """Fill in the point, normal and triangle of a thin ray's hit, as `contact.contact`."""
+    (t, feature), local = hit, stack_array((RAY_ROWS, 3), np.float64)
+    clear_triangle(triangle)
+    for axis in range(3):
+        point[axis], normal[axis] = given[ORIGIN, axis] + t * given[DIRECTION, axis], 0.0
+    if feature < FACE:
+        return
+    span, face, along = hulls.spans[shape.mesh], feature - FACE, 0.0
+    number, vertices = span.faces[0] + face, hulls.vertices[span.vertices[0] : span.vertices[1]]
+    exponent, _ = into_frame(span.radius, shape, given, local)
+    outwards, s = hulls.normals[number], ldexp(t, -exponent)
+    for axis in range(3):
+        along += outwards[axis] * local[DIRECTION, axis]
+        local[ORIGIN, axis] += s * local[DIRECTION, axis]
+    # Of a convex mesh they point outwards already.
+    sign = -1.0 if along > 0.0 and span.form != CONVEX else 1.0
+    for axis in range(3):
+        normal[axis] = sign * outwards[axis]
+    rotate(shape.orientation, normal, 1.0)
+    if triangle is not None:
+        u, v = coordinates_in(vertices, hulls.corners[number], local[ORIGIN])
+        triangle[0], triangle[1], triangle[2] = hulls.rows[number], u, v
 
 
 # ---- balls

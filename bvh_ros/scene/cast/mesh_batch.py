@@ -8,7 +8,6 @@ meet such a mesh waits. All that wait for one obstacle then go through its tree 
 triangle is decided as for one ray.
 """
 
-import math
 import threading
 from typing import Any, NamedTuple
 
@@ -41,7 +40,7 @@ from ...tree.compiler import inlined, lean_kernel, prefetch, stack_array
 from ..shapes.footprint import FACE
 from ..shapes.hull import form_of, surface_of
 from ..shapes.mesh import SHELL
-from ..shapes.shape import MESH
+from ..shapes.shape import MESH, ldexp
 from ..shapes.surface import (
     CLOSE,
     cross_triangle,
@@ -230,7 +229,7 @@ def take_entry(world, rays, room, k, entry, t_max):
         if not rays.skip_inside:
             take(world, room.others, place, Hit(slot, 0.0, np.int64(INSIDE)))
     else:
-        t = min(math.ldexp(room.ends[k, 1] + s, int(room.ends[k, 0])), t_max)
+        t = min(ldexp(room.ends[k, 1] + s, int(room.ends[k, 0])), t_max)
         take(world, room.others, place, Hit(slot, t, FACE + face))
 
 
@@ -254,7 +253,7 @@ def cast_at_mesh(world, rays, start, begin, end, room):
             if not rays.skip_inside:
                 take(world, room.others, place, Hit(slot, 0.0, np.int64(INSIDE)))
             continue
-        reach = math.ldexp(t_max, -exponent)
+        reach = ldexp(t_max, -exponent)
         if is_still:
             ray[DIRECTION, 0], reach = 1.0, 0.0
         first = come_near(surface.radius, ray)
@@ -265,7 +264,7 @@ def cast_at_mesh(world, rays, start, begin, end, room):
             room.lines[k, 1, axis] = ray[DIRECTION, axis]
         room.ends[k, 0], room.ends[k, 1], room.ends[k, 2] = exponent, first, reach - first
         before = min(room.boxes.ts[place], room.others.ts[place])
-        near = math.ldexp(before, -exponent) * (1.0 + CLOSE) - first
+        near = ldexp(before, -exponent) * (1.0 + CLOSE) - first
         record, units = stream.records[k], (wide.center, wide.per_length)
         limit = min(near, (reach - first) * (1.0 + CLOSE))
         if start_ray(record, ray[ORIGIN], ray[DIRECTION], *units, limit):

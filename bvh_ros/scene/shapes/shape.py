@@ -36,6 +36,12 @@ def hypot(one, other):
     return abs(one) if other == 0.0 else math.hypot(one, other)
 
 
+@inlined
+def ldexp(number, exponent):
+    """`math.ldexp`, in less time where the exponent is zero."""
+    return number if exponent == 0 else math.ldexp(number, exponent)
+
+
 LEAST_SQUARE, LARGEST_SQUARE = 1e-270, 1e300  # no product that matters vanishes, or overflows
 
 
