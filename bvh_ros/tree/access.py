@@ -9,7 +9,9 @@ from .batch.single import (
     cast_few,
     few_entry,
     meet_boxes,
+    meet_ray,
     next_ball_leaf,
+    next_line_leaf,
     next_near_leaf,
     next_wide_leaf,
     no_plane32,
@@ -32,7 +34,20 @@ from .batch.snapshot import (
     take_snapshot,
     widen,
 )
-from .batch.streams import FOUND, MIXED, TALLY, cast_entry, make_scratch, scratch_for, traverse
+from .batch.streams import (
+    FOUND,
+    MIXED,
+    TALLY,
+    cast_entry,
+    defer_leaves,
+    fetch_nothing,
+    leaves_of,
+    make_scratch,
+    scratch_for,
+    traverse,
+    visit_nothing,
+    without_lowest,
+)
 from .checks import (
     BOOL,
     EVERYTHING,
@@ -109,6 +124,7 @@ from .query.slab import (
 )
 from .query.traversal import Stack, next_leaf, push_root
 from .results import RayHits, shown_point, shown_rows
+from .simd.float32x16 import crossed16
 from .simd.int32x8 import AT_ONCE
 from .store import mapped
 from .store.arrays import Floats, Ids

@@ -11,7 +11,7 @@ import math
 import numpy as np
 
 from ...tree.access import DIRECTION, INSIDE, ORIGIN, intersect_exact
-from ...tree.compiler import lean_kernel
+from ...tree.compiler import inlined, lean_kernel
 from ..distance.narrow_phase import closest_on_mesh
 from ..shapes.footprint import ROUND
 from ..shapes.shape import BOX, CAPSULE, CYLINDER, MESH, SPHERE, length, rotate, scale_of
@@ -151,21 +151,28 @@ def axis_point(shape, scale, z):
     return min(max(z, -straight), straight)
 
 
-@lean_kernel
+@inlined
 def contact(shape, hulls, pair, hit, given, work, point, normal, triangle):
     """Fill in the obstacle's point of a hit (t, feature), the outward normal, and the triangle,
     see `arguments.room_for_triangles`.
+    """
+    if shape.kind == MESH and radius_of(given) == 0.0:
+        if hulls is not None:
+            touch_mesh(hulls, shape, pair.ray, hit, point, normal, triangle)
+    else:
+        clear_triangle(triangle)
+        touch_shape(shape, hulls, pair, hit, given, work, point, normal)
+
+
+@lean_kernel
+def touch_shape(shape, hulls, pair, hit, given, work, point, normal):
+    """Fill in the point and the normal where a thin ray hits no mesh, or a ball any shape.
 
     The normal of a ball is zero where its centre is in the obstacle, or no farther from it than
     rounding: there it would be noise.
     """
     (ray, lo, hi), radius = pair, radius_of(given)
     t, feature = hit
-    if shape.kind == MESH and radius == 0.0:
-        if hulls is not None:
-            touch_mesh(hulls, shape, ray, hit, point, normal, triangle)
-        return
-    clear_triangle(triangle)
     frame = to_frame(shape, lo, hi, ray, radius, work)
     s = t * frame.pace if t > 0.0 else 0.0
     centre, direction, closest, outward, scale = work[0], work[1], work[2], work[3], frame.scale

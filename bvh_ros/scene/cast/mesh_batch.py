@@ -29,14 +29,20 @@ from ...tree.access import (
     ROOT,
     TALLY,
     begin_batch,
+    crossed16,
     end_query,
+    fetch_nothing,
+    leaves_of,
+    limit32,
     make_scratch,
     of_row,
     set_ray,
     start_ray,
     traverse,
+    visit_nothing,
+    without_lowest,
 )
-from ...tree.compiler import inlined, lean_kernel, prefetch, stack_array
+from ...tree.compiler import WIDTH, inlined, lean_kernel, prefetch, stack_array, trailing_zeros
 from ..shapes.footprint import FACE
 from ..shapes.hull import form_of, surface_of
 from ..shapes.mesh import SHELL
@@ -49,6 +55,7 @@ from ..shapes.surface import (
     is_before,
     is_within,
 )
+from ..shapes.triangles32 import LINE, fill_line
 from .arguments import SCRATCH, CastWorld, Hits, scratch_in
 from .mesh import come_near, into_frame
 from .query import (
@@ -83,6 +90,11 @@ class Room(NamedTuple):
     ends: Any
     """(TOGETHER, 3): the exponent of the direction's scale, where the line begins, and how far it
     goes from there, both in units of the direction."""
+    axes: Any
+    """(TOGETHER,), and (TOGETHER, LINE) `lines32`: see `triangles32.fill_line`."""
+    lines32: Any
+    deferred: Any
+    """(MOST_WAITING,): a triangle, and in the lower half the place of a line that may cross it."""
     stream: Any
     """`tree.batch.streams.Scratch`."""
 
@@ -97,6 +109,9 @@ def make_room(depth: int) -> Room:
         Hits(marks[2], times[1], marks[3]),
         np.empty((TOGETHER, 2, 3)),
         np.empty((TOGETHER, 3)),
+        np.empty(TOGETHER, np.int64),
+        np.empty((TOGETHER, LINE), np.float32),
+        np.empty(MOST_WAITING, np.int64),
         make_scratch(TOGETHER, 3, depth),
     )
 
@@ -167,6 +182,9 @@ def sort(pairs, count):
 # ---- many rays at one mesh
 
 
+AHEAD = 8  # places from where memory is prefetched to where it is read
+
+
 class Lines(NamedTuple):
     """What `traverse` reads of rays, and what decides of them."""
 
@@ -174,31 +192,61 @@ class Lines(NamedTuple):
     mode: Any
     lines: Any
     ends: Any
+    axes: Any
+    lines32: Any
+    deferred: Any
     zero: Any
 
 
 @inlined
-def fetch_face(surface, rays, face, listed, scratch, tally):
-    """Prefetch the memory of a triangle."""
-    prefetch(surface.corners, 3 * face, 1)
-    return False
+def take_triangles(wide, surface, node, listed, rays, stream, tally, hit_lanes):
+    """For `traverse`: let the lines wait that may cross triangles of a wide node."""
+    (_, places), leaves, depths = listed, leaves_of(wide, node), stack_array(WIDTH, np.float32)
+    others = np.uint32(hit_lanes & ~leaves)
+    if others != hit_lanes:
+        for i in range(places.shape[0]):
+            k, lanes = places[i], np.uint32(stream.hit_lanes[i] & leaves)
+            if lanes == np.uint32(0):
+                continue
+            lanes &= crossed16(wide.triangles, node, rays.axes[k], rays.lines32[k], depths)
+            record = stream.records[k]
+            while lanes != np.uint32(0):
+                lane = np.int64(trailing_zeros(lanes))
+                face = ~np.int64(wide.children[node * WIDTH + lane])
+                record.limit = min(record.limit, depths[lane])
+                lanes = without_lowest(lanes)
+                prefetch(surface.corners, 3 * face, 1)
+                rays.deferred[tally[FOUND]] = face << 32 | np.int64(k)
+                tally[FOUND] += 1
+                if tally[FOUND] == rays.deferred.shape[0]:
+                    decide_deferred(surface, rays, stream, tally)
+            stream.hit_lanes[i] = np.uint32(stream.hit_lanes[i] & ~leaves)
+    lanes = others
+    while lanes != np.uint32(0):
+        child = np.int64(wide.children[node * WIDTH + trailing_zeros(lanes)])
+        lanes = without_lowest(lanes)
+        prefetch(wide.triangles, child * (9 * WIDTH), 9)
+    return others
 
 
-@inlined
-def is_first(surface, ray, rays, row, face, best):
-    """Whether a line crosses a triangle before the best one, (row, s, axis)."""
-    origin, direction = rays.lines[row, 0], rays.lines[row, 1]
-    corner = surface.corners[face]
-    crossing = cross_triangle(surface.vertices, corner, origin, direction, rays.zero)
-    line = origin, direction, rays.zero
-    first = crossing.s < np.inf and (
-        best[0] == NONE
-        or is_before(surface, line, (crossing.s, np.int64(face)), (best[1], best[0]))
-    )
-    if first:
-        reach = rays.ends[row, 2]
-        first = is_within(surface.vertices, corner, *line, crossing, reach)
-    return first, crossing.s, np.int64(INSIDE)
+@lean_kernel
+def decide_deferred(surface, rays, stream, tally):
+    """See of the triangles that lines may cross which are the first ones."""
+    for i in range(tally[FOUND]):
+        ahead = rays.deferred[min(i + AHEAD, tally[FOUND] - 1)] >> 32
+        for number in range(3):
+            prefetch(surface.vertices, 3 * np.int64(surface.corners[ahead, number]), 1)
+        face, k = rays.deferred[i] >> 32, rays.deferred[i] & 0xFFFFFFFF
+        best, corner = stream.records[k], surface.corners[face]
+        line = rays.lines[k, 0], rays.lines[k, 1], rays.zero
+        crossing = cross_triangle(surface.vertices, corner, *line)
+        one, other = (crossing.s, face), (best.best_t, np.int64(best.slot))
+        if crossing.s == np.inf or not (best.slot == NONE or is_before(surface, line, one, other)):
+            continue
+        if is_within(surface.vertices, corner, *line, crossing, rays.ends[k, 2]):
+            best.slot, best.best_t = face, crossing.s
+            best.limit = min(best.limit, limit32(crossing.s, best.unit))
+    tally[FOUND] = 0
 
 
 @inlined
@@ -268,6 +316,7 @@ def cast_at_mesh(world, rays, start, begin, end, room):
         record, units = stream.records[k], (wide.center, wide.per_length)
         limit = min(near, (reach - first) * (1.0 + CLOSE))
         if start_ray(record, ray[ORIGIN], ray[DIRECTION], *units, limit):
+            room.axes[k] = fill_line(wide, ray, room.lines32[k])
             stream.lists[alive] = k
             alive += 1
         else:
@@ -277,13 +326,30 @@ def cast_at_mesh(world, rays, start, begin, end, room):
     tally[FOUND] = 0
     if alive == 0:
         return
-    lines = Lines(EVERYBODY, CLOSEST, room.lines, room.ends, zero)
-    group = MIXED, stream.rows, alive
-    traverse(wide, surface, group, lines, stream, tally, fetch_face, is_first)
-    for k in stream.found[: tally[FOUND]]:
+    parts = room.lines, room.ends, room.axes, room.lines32, room.deferred
+    lines, group = Lines(EVERYBODY, CLOSEST, *parts, zero), (MIXED, stream.rows, alive)
+    traverse(
+        wide, surface, group, lines, stream, tally, take_triangles, fetch_nothing, visit_nothing
+    )
+    decide_deferred(surface, lines, stream, tally)
+    for j in range(alive):
+        k = stream.lists[j]
         place, best = room.pairs[begin + k] & 0xFFFFFFFF, stream.records[k]
-        entry = place, slot, best.best_t, np.int64(best.slot)
-        take_entry(world, rays, room, k, entry, of_row(rays.t_max, start + place))
+        if best.slot != NONE:
+            entry = place, slot, best.best_t, np.int64(best.slot)
+            take_entry(world, rays, room, k, entry, of_row(rays.t_max, start + place))
+
+
+@inlined
+def fetch_hit(world, room, k):
+    """Prefetch what is written of the first hit that is no box."""
+    slot, feature = room.others.slots[k], room.others.features[k]
+    if feature >= FACE:
+        hulls = world.geometry[1]
+        face = hulls.spans[world.geometry[0][slot].mesh].faces[0] + feature - FACE
+        prefetch(hulls.normals, 3 * face, 1)
+        prefetch(hulls.rows, face, 1)
+        prefetch(hulls.corners, 3 * face, 1)
 
 
 # ---- a batch
@@ -336,6 +402,7 @@ def cast_together(view, snapshot, shapes, node_handles, rays, place, room, hits)
             decide_waiting(world, rays, row, waiting, room)
             for k in range(end - row):
                 set_row(rays, row + k, scratch.ray)
+                fetch_hit(world, room, min(k + AHEAD, end - row - 1))
                 box, other = hit_at(room.boxes, k), hit_at(room.others, k)
                 hit = box if precedes(world, scratch.ray, box, other) else other
                 write_row(world, scratch, node_handles, None, hit, 1.0, row + k, hits)

@@ -35,8 +35,10 @@ from ...tree.access import (
     accepted,
     begin_query,
     count_rays,
+    defer_leaves,
     end_query,
     entry_points,
+    fetch_nothing,
     in_threads,
     limit32,
     make_scratch,
@@ -46,6 +48,7 @@ from ...tree.access import (
     set_ray,
     slot_of,
     traverse,
+    visit_nothing,
     widen,
 )
 from ...tree.compiler import WIDTH, entry_point, inlined, lean_kernel, prefetch, stack_array
@@ -71,7 +74,6 @@ from ...tree.motion.access import (
     fetch_box,
     locate,
     may_meet,
-    never_better,
     no_sweep,
     split_times,
     start_in_drift_frame,
@@ -268,7 +270,17 @@ def _cast_group(stream, start, stop, lists, hits):
     tally[FOUND] = tally[WAITING] = 0
     if alive > 0:
         which = MIXED, rows, alive
-        traverse(snapshot, cast.tree, which, stream, group, tally, defer_leaf, never_better)
+        traverse(
+            snapshot,
+            cast.tree,
+            which,
+            stream,
+            group,
+            tally,
+            take_leaves,
+            fetch_nothing,
+            visit_nothing,
+        )
     flush_deferred(cast.tree, stream, rows, group, tally)
     for place in range(rows.shape[0]):
         row = rows[place]
@@ -288,19 +300,21 @@ def first_hits_at(group, place):
 
 
 @inlined
-def defer_leaf(tree, stream, slot, listed, group, tally):
-    """Defer the rays that may meet a leaf, listed = (rows, places); prefetch its memory."""
-    rows, places = listed
+def take_leaves(snapshot, tree, node, listed, stream, group, tally, hit_lanes):
+    return defer_leaves(snapshot, tree, node, listed, stream, group, tally, hit_lanes, defer_leaf)
+
+
+@inlined
+def defer_leaf(tree, stream, slot, rows, place, group, tally):
+    """Let a ray wait that may meet a leaf; prefetch its memory."""
     prefetch(stream.sweep.leaves.records, slot, 1)
-    for place in places:
-        mask = of_row(stream.masks, rows[place])
-        if stream.sweep.snapshot.loose > 0 and tree.nodes[2 * slot].mask & mask == 0:
-            continue  # it was removed, or has another mask now
-        group.pairs[tally[WAITING]] = slot << 32 | place
-        tally[WAITING] += 1
-        if tally[WAITING] == group.pairs.shape[0]:
-            flush_deferred(tree, stream, rows, group, tally)
-    return True
+    mask = of_row(stream.masks, rows[place])
+    if stream.sweep.snapshot.loose > 0 and tree.nodes[2 * slot].mask & mask == 0:
+        return  # it was removed, or has another mask now
+    group.pairs[tally[WAITING]] = slot << 32 | np.int64(place)
+    tally[WAITING] += 1
+    if tally[WAITING] == group.pairs.shape[0]:
+        flush_deferred(tree, stream, rows, group, tally)
 
 
 @lean_kernel

@@ -131,7 +131,7 @@ class BallPath(NamedTuple):
 # ---- one obstacle
 
 
-@lean_kernel
+@inlined
 def is_plain_box(geometry, footprints, slot):
     """Whether an obstacle is an axis-aligned box."""
     if geometry is not None:
@@ -141,7 +141,7 @@ def is_plain_box(geometry, footprints, slot):
     return True
 
 
-@lean_kernel
+@inlined
 def enter_obstacle(world, slot, ray, radius, t_max, work):
     """(t, feature) at which a ray, or a ball swept along it, meets an obstacle; t inf if never.
     The radius of a ray is None.
@@ -151,7 +151,7 @@ def enter_obstacle(world, slot, ray, radius, t_max, work):
     return enter_any(world.geometry, world.footprints, slot, pair, radius, t_max, work)
 
 
-@lean_kernel
+@inlined
 def enter_any(geometry, footprints, slot, pair, radius, t_max, work):
     t, feature = np.inf, np.int64(INSIDE)
     if geometry is not None:
@@ -162,7 +162,7 @@ def enter_any(geometry, footprints, slot, pair, radius, t_max, work):
     return t, feature
 
 
-@lean_kernel
+@inlined
 def touch(world, scratch, radius, hit, point, normal, triangle):
     """Fill in where a ray or ball meets an obstacle, the outward normal there, and the triangle, a
     row of `room_for_triangles`, or None.
@@ -173,7 +173,7 @@ def touch(world, scratch, radius, hit, point, normal, triangle):
     touch_any(world.geometry, world.footprints, hit.slot, pair, at, radius, work, out, triangle)
 
 
-@lean_kernel
+@inlined
 def touch_any(geometry, footprints, slot, pair, hit, radius, work, out, triangle):
     point, normal = out
     if geometry is not None:
@@ -235,7 +235,7 @@ def no_hits():
     return no_hit(), no_hit()
 
 
-@lean_kernel
+@inlined
 def precedes(world, ray, hit, other):
     """Whether a hit of a thin ray comes before another; ties by handle. Between axis-aligned boxes
     as real arithmetic says.
@@ -347,7 +347,7 @@ def reach_of(query, ray):
     return query.radius + query.slack + doubt_of(ray, query.radius)
 
 
-@lean_kernel
+@inlined
 def grow(node, radius, box):
     """A node's box grown by the radius on all sides, rounded outwards."""
     for axis in range(node.lo.shape[0]):

@@ -32,8 +32,8 @@ from ...tree.access import (
     enter_box,
     limit32,
     next_leaf,
+    next_line_leaf,
     next_near_leaf,
-    next_wide_leaf,
     no_plane32,
     no_snapshot,
     prepare_ray,
@@ -49,7 +49,7 @@ from ...tree.access import (
 )
 from ...tree.compiler import inlined, lean_kernel, stack_array
 from .shape import length
-from .triangles32 import meet_triangles
+from .triangles32 import LINE, fill_line, meet_crossed, meet_triangles
 
 
 class Surface(NamedTuple):
@@ -65,7 +65,7 @@ class Surface(NamedTuple):
 
 
 class Wide(NamedTuple):
-    """The snapshot of a mesh's tree, as `next_wide_leaf` reads it."""
+    """The snapshot of a mesh's tree, as `next_line_leaf` reads it."""
 
     planes: Any
     children: Any
@@ -436,13 +436,16 @@ def visit_line(surface, ray, reach, found, visit):
     nodes, wide, zero = surface.nodes, surface.wide, stack_array(3, np.float64)
     zero[0] = zero[1] = zero[2] = 0.0
     records, place = stack_array(1, RECORD), stack_array(1, np.int32)
-    entries, record = stack_array(STACK, np.int64), records[0]
+    entries, record, axis = stack_array(STACK, np.int64), records[0], 0
     stack = Stack(stack_array(DEEPEST, np.int64), stack_array(DEEPEST, np.float64))
+    line32 = stack_array(LINE, np.float32)
     scale, far, limit, top, suited = np.int64(0), False, reach, 0, False
     if wide.size > 0:
         units = wide.center, wide.per_length
         suited = start_ray(record, ray[ORIGIN], ray[DIRECTION], *units, reach)
         place[0], entries[0], top = 0, 0, 1
+        if suited:
+            axis = fill_line(wide, ray, line32)
     if not suited:
         scale, far = prepare_ray(ray, nodes[surface.root].lo, nodes[surface.root].hi)
         limit = traversal_distance(reach, scale)
@@ -451,7 +454,8 @@ def visit_line(surface, ray, reach, found, visit):
         top = push_root(nodes, surface.root, line, limit, stack, enter_box)
     while top > 0:
         if suited:
-            face, top = next_wide_leaf(wide, records, place, ALL32, entries, top)
+            given = (records, place), (axis, line32)
+            face, top = next_line_leaf(wide, *given, ALL32, entries, top, meet_crossed)
         else:
             leaf, top = next_leaf(nodes, line, limit, stack, top, enter_box)
             face = leaf >> 1  # NONE of NONE
@@ -581,17 +585,24 @@ MOST_DIRECTIONS = 64
 @lean_kernel
 def holds_point(surface, point):
     """Whether a point is in a solid or on its surface, exactly."""
-    ray, inside = stack_array((RAY_ROWS, 3), np.float64), True
+    box = surface.nodes[surface.root]
+    for axis in range(3):
+        if not box.lo[axis] <= point[axis] <= box.hi[axis]:
+            return False
+    return holds_near(surface, point)
+
+
+@lean_kernel
+def holds_near(surface, point):
+    """The same of a point in the box around a solid."""
+    ray = stack_array((RAY_ROWS, 3), np.float64)
     lowest, highest = surface.nodes[surface.root].lo, surface.nodes[surface.root].hi
     nearest, out, upwards = np.inf, 0, False  # the side of the box that is next
     for axis in range(3):
-        inside = inside and lowest[axis] <= point[axis] <= highest[axis]
         ray[ORIGIN, axis] = point[axis]
         below, above = point[axis] - lowest[axis], highest[axis] - point[axis]
         if min(below, above) < nearest:
             nearest, out, upwards = min(below, above), axis, above < below
-    if not inside:
-        return False
     x, y, z = 0.3719, 0.8377, 0.4001
     for _ in range(MOST_DIRECTIONS):
         ray[DIRECTION, 0], ray[DIRECTION, 1], ray[DIRECTION, 2] = x - 0.5, y - 0.5, z - 0.5

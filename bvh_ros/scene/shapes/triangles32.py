@@ -1,16 +1,19 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Sixteen triangles of a mesh at once, in float32: how near they may be.
+"""Sixteen triangles of a mesh at once, in float32: how near they may be, and which a line may
+cross.
 
 The box of a triangle may be much nearer than the triangle: of a fine mesh, tens of boxes are
-nearer than the closest point. What float32 tells of a triangle is a bound; float64 decides on the
-few triangles that are left.
+nearer than the closest point, and a line meets three boxes for each triangle that it crosses. What
+float32 tells of a triangle is a bound; float64 decides on the few triangles that are left.
 """
+
+import math
 
 import numpy as np
 
-from ...tree.access import meet_boxes
-from ...tree.compiler import WIDTH, inlined, lean_kernel
+from ...tree.access import DIRECTION, ORIGIN, crossed16, leaves_of, meet_boxes, meet_ray
+from ...tree.compiler import WIDTH, inlined, lean_kernel, stack_array
 
 # Of a distance in a snapshot's units, and of 1: twice what rounds it.
 LOOSER = np.float32(2.0**-19)
@@ -104,10 +107,58 @@ def bound_triangles(wide, around, node, lanes, nearest):
 @inlined
 def meet_triangles(snapshot, around, node, nearest):
     """`meet_boxes` for a point, without the triangles that are surely too far away."""
-    lanes, leaves = meet_boxes(snapshot, around, node, nearest), np.uint32(0)
-    children = snapshot.children[node * WIDTH : (node + 1) * WIDTH]
-    for lane in range(WIDTH):
-        leaves |= np.uint32(children[lane] < 0) << np.uint32(lane)
-    if np.uint32(lanes & leaves) == np.uint32(0):
+    lanes = meet_boxes(snapshot, around, node, nearest)
+    if np.uint32(lanes & leaves_of(snapshot, node)) == np.uint32(0):
         return lanes
     return bound_triangles(snapshot, around, node, lanes, nearest)
+
+
+# ---- triangles and lines
+#
+# Seen along the axis on which a line is steepest, and sheared so that the line is a point, the
+# origin: it crosses what has the origin on one side of all edges (Woop, Benthin and Wald 2013,
+# "Watertight Ray/Triangle Intersection"). In a snapshot's units the mesh lies within 1, and a line
+# through it within 2 on the plane through the center. So with e = 2**-24 a sheared coordinate is
+# off by less than 16 e, and a determinant of two corners no farther than m from the origin by less
+# than 4 (16 e) m + 2 (16 e)**2 + 3 e m**2, where m is less than 8.
+
+
+LINE = 7  # numbers of a line
+BEYOND = 2.0**-21  # of 1 and where a line begins: more than what rounds a depth
+
+
+@inlined
+def fill_line(snapshot, ray, line):
+    """Fill in the numbers of a line, (LINE,) float32; return the axis on which it is steepest.
+
+    Along each of the two axes after that, cyclically: how far the line goes for each step along
+    it. The same: where it is on the plane through the center. Whether it goes up (1) or down (-1)
+    its own axis; where it begins on that, times this; and more than what rounds a depth.
+    """
+    axis = 0
+    for other in range(1, 3):
+        if abs(ray[DIRECTION, other]) > abs(ray[DIRECTION, axis]):
+            axis = other
+    inverse, unit = 1.0 / ray[DIRECTION, axis], snapshot.per_length
+    along = (ray[ORIGIN, axis] - snapshot.center[axis]) * unit
+    for number in range(2):
+        other = (axis + 1 + number) % 3
+        slope = ray[DIRECTION, other] * inverse
+        place = (ray[ORIGIN, other] - snapshot.center[other]) * unit - slope * along
+        line[number], line[2 + number] = slope, place
+    line[4] = math.copysign(1.0, inverse)
+    line[5], line[6] = line[4] * along, BEYOND * (1.0 + abs(along))
+    return axis
+
+
+@inlined
+def meet_crossed(snapshot, query, node, nearest):
+    """`meet_ray` for query = (ray, (axis, numbers of its line)), without the triangles that the
+    line surely does not cross.
+    """
+    ray, (axis, line) = query
+    lanes, leaves = meet_ray(snapshot, ray, node, nearest), leaves_of(snapshot, node)
+    if np.uint32(lanes & leaves) == np.uint32(0):
+        return lanes
+    depths = stack_array(WIDTH, np.float32)
+    return np.uint32(lanes & (crossed16(snapshot.triangles, node, axis, line, depths) | ~leaves))

@@ -118,15 +118,30 @@ def next_wide_leaf(snapshot, records, place, mask, stack, top):
     """The next leaf that a ray may meet within the limit of its record, the one at place[0]:
     (slot or NONE, top).
     """
-    hit_lanes, record = stack_array(1, np.uint32), records[place[0]]
-    query = records, place, np.uint64(record.octant), hit_lanes
-    return next_child(snapshot, query, bits_of(record.limit), mask, stack, top, _meet_ray)
+    return next_line_leaf(snapshot, (records, place), 0, mask, stack, top, _meet_ray)
+
+
+@inlined
+def next_line_leaf(snapshot, ray, line, mask, stack, top, meet):
+    """`next_wide_leaf` of a ray = (records, place), of the leaves that meet(snapshot, (ray, line),
+    node, nearest) leaves of those of `meet_ray`.
+    """
+    records, place = ray
+    limit = bits_of(records[place[0]].limit)
+    return next_child(snapshot, (ray, line), limit, mask, stack, top, meet)
+
+
+@inlined
+def meet_ray(snapshot, ray, node, nearest):
+    """Bit mask of the children whose boxes a ray meets."""
+    (records, place), hit_lanes = ray, stack_array(1, np.uint32)
+    octant = np.uint64(records[place[0]].octant)
+    return stream16(snapshot.planes, node, octant, records, place, hit_lanes, nearest)
 
 
 @inlined
 def _meet_ray(snapshot, query, node, nearest):
-    records, place, octant, hit_lanes = query
-    return stream16(snapshot.planes, node, octant, records, place, hit_lanes, nearest)
+    return meet_ray(snapshot, query[0], node, nearest)
 
 
 class Surroundings(NamedTuple):
@@ -201,15 +216,14 @@ def set_plane32(snapshot, normal, place, plane):
 @inlined
 def next_ball_leaf(snapshot, records, place, plane, stack, top):
     """`next_wide_leaf` of boxes that reach a plane."""
-    hit_lanes, record = stack_array(1, np.uint32), records[place[0]]
-    query = (records, place, np.uint64(record.octant), hit_lanes), plane
-    return next_child(snapshot, query, bits_of(record.limit), ALL32, stack, top, _meet_ball)
+    ray = records, place
+    return next_line_leaf(snapshot, ray, plane, ALL32, stack, top, _meet_ball)
 
 
 @inlined
 def _meet_ball(snapshot, query, node, nearest):
     ray, plane = query
-    lanes = _meet_ray(snapshot, ray, node, nearest)
+    lanes = meet_ray(snapshot, ray, node, nearest)
     if plane[3] > -np.inf:
         lanes &= above16(snapshot.planes, node, plane)
     return lanes

@@ -319,7 +319,7 @@ def cast_pile(snapshot, tree, group, rays, scratch, tally, hits):
         scratch.lists[i] = begin + i
     tally[FOUND] = 0
     group = octant, scratch.rows, count
-    traverse(snapshot, tree, group, rays, scratch, tally, fetch_leaf, is_first)
+    traverse(snapshot, tree, group, rays, scratch, tally, take_no_leaves, fetch_leaf, visit_box)
     for place in scratch.found[: tally[FOUND]]:
         best, row = scratch.records[place], scratch.rows[place]
         set_inverse(scratch.ray, rays.origins[row], rays.directions[row])
@@ -329,10 +329,12 @@ def cast_pile(snapshot, tree, group, rays, scratch, tally, hits):
 
 
 @inlined
-def traverse(snapshot, tree, group, rays, scratch, tally, put_off, better):
+def traverse(snapshot, tree, group, rays, scratch, tally, take, fetch, visit):
     """Find the best hits of the rays of a group, (octant, rows of places, how many are listed),
-    and note them in their records. `put_off` asks for the memory of a leaf, and says whether it
-    keeps the rays that visit it for later.
+    and note them in their records.
+
+    `take` may look at all leaves of a node at once; it returns the children that are left. Of
+    other leaves `fetch` prefetches the memory, and `visit` decides.
     """
     octant, rows, alive = group
     lists, stack, masks = scratch.lists, scratch.stack, rays.masks
@@ -349,7 +351,7 @@ def traverse(snapshot, tree, group, rays, scratch, tally, put_off, better):
         count = np.int64(stack[top, COUNT])
         if node < 0:
             listed = rows, lists[start : start + count]
-            visit_leaf(tree, ~node, patched, listed, rays, scratch, tally, better)
+            visit(tree, ~node, patched, listed, rays, scratch, tally)
             continue
         here = lists[start : start + count]
         hit_lanes = stream16(
@@ -357,6 +359,8 @@ def traverse(snapshot, tree, group, rays, scratch, tally, put_off, better):
         )
         if not sees_all:
             hit_lanes = apply_masks(snapshot.masks, node, masks, rows, here, scratch.hit_lanes)
+        listed = rows, here
+        hit_lanes = take(snapshot, tree, node, listed, rays, scratch, tally, hit_lanes)
         if hit_lanes == np.uint32(0):
             continue
         begin, end = start, start + count  # the list of a single ray serves all children
@@ -370,17 +374,46 @@ def traverse(snapshot, tree, group, rays, scratch, tally, put_off, better):
             if child >= 0:
                 fetch_node(snapshot, np.int64(child))
             else:
-                listed = rows, lists[begin:end]
-                if put_off(tree, rays, ~np.int64(child), listed, scratch, tally):
-                    continue
+                fetch(tree, ~np.int64(child))
             stack[top, NODE], stack[top, START], stack[top, COUNT] = child, begin, end - begin
             top += 1
 
 
 @inlined
-def visit_leaf(tree, slot, patched, group, rays, scratch, tally, better):
-    """See for each ray of a group whether the leaf is its best hit."""
-    (rows, places), ray = group, scratch.ray
+def leaves_of(snapshot, node):
+    """Bit mask of the children of a wide node that are leaves, or no nodes."""
+    leaves = np.uint32(0)
+    children = snapshot.children[node * WIDTH : (node + 1) * WIDTH]
+    for lane in range(WIDTH):
+        leaves |= np.uint32(children[lane] < 0) << np.uint32(lane)
+    return leaves
+
+
+@inlined
+def take_no_leaves(snapshot, tree, node, listed, rays, scratch, tally, hit_lanes):
+    """For `traverse`: `visit_box` decides of each leaf."""
+    return hit_lanes
+
+
+@inlined
+def fetch_leaf(tree, slot):
+    """Prefetch the memory of a leaf."""
+    if tree.tight.shape[0] > 0:
+        prefetch(tree.tight, slot, 1)
+    else:
+        prefetch(tree.nodes, 2 * slot, 1)
+
+
+@inlined
+def visit_box(tree, slot, patched, listed, rays, scratch, tally):
+    """`visit_leaf` of boxes at rest."""
+    visit_leaf(tree, slot, patched, listed, rays, scratch, tally, is_first)
+
+
+@inlined
+def visit_leaf(tree, slot, patched, listed, rays, scratch, tally, better):
+    """See for each ray that is listed whether the leaf is its best hit."""
+    (rows, places), ray = listed, scratch.ray
     for place in places:
         best, row = scratch.records[place], rows[place]
         if rays.mode == ANY and best.slot != NONE:
@@ -398,6 +431,36 @@ def visit_leaf(tree, slot, patched, group, rays, scratch, tally, better):
                 tally[FOUND] += 1
             best.slot, best.best_t, best.axis = slot, t, axis
             best.limit = NOWHERE if rays.mode == ANY else limit32(t, best.unit)
+
+
+# ---- leaves that are decided later
+
+
+@inlined
+def defer_leaves(snapshot, tree, node, listed, rays, scratch, tally, hit_lanes, keep):
+    """For `traverse`: hand each ray that is listed and each leaf of a wide node that it meets to
+    keep(tree, rays, slot, rows, place, scratch, tally).
+    """
+    leaves, (rows, places) = leaves_of(snapshot, node), listed
+    if np.uint32(hit_lanes & leaves) != np.uint32(0):
+        for i in range(places.shape[0]):
+            lanes = np.uint32(scratch.hit_lanes[i] & leaves)
+            scratch.hit_lanes[i] = np.uint32(scratch.hit_lanes[i] & ~leaves)
+            while lanes != np.uint32(0):
+                child = snapshot.children[node * WIDTH + trailing_zeros(lanes)]
+                lanes = without_lowest(lanes)
+                keep(tree, rays, ~np.int64(child), rows, places[i], scratch, tally)
+    return np.uint32(hit_lanes & ~leaves)
+
+
+@inlined
+def fetch_nothing(tree, slot):
+    """For `traverse`, where all leaves are deferred."""
+
+
+@inlined
+def visit_nothing(tree, slot, patched, listed, rays, scratch, tally):
+    """For `traverse`, where all leaves are deferred."""
 
 
 @inlined
@@ -424,22 +487,6 @@ def fetch_node(snapshot, child):
     """Ask for the memory of a wide node that will be visited soon."""
     prefetch(snapshot.planes, child * (2 * snapshot.center.shape[0] * WIDTH), LINES_OF_PLANES)
     prefetch(snapshot.children, child * WIDTH, 1)
-
-
-@inlined
-def fetch_leaf(tree, rays, slot, listed, scratch, tally):
-    """Ask for the memory of a leaf."""
-    fetch_box(tree, slot)
-    return False
-
-
-@inlined
-def fetch_box(tree, slot):
-    """Ask for the memory of the box of a slot."""
-    if tree.tight.shape[0] > 0:
-        prefetch(tree.tight, slot, 1)
-    else:
-        prefetch(tree.nodes, 2 * slot, 1)
 
 
 @inlined

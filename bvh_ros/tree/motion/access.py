@@ -34,7 +34,6 @@ from .sweep import (
     TimedRays,
     cast_few,
     cast_rows,
-    never_better,
     no_sweep,
     split_times,
     start_in_drift_frame,

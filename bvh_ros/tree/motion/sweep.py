@@ -42,11 +42,14 @@ from ..batch.streams import (
     RAYS_AT_ONCE,
     RAYS_SORTED,
     TALLY,
+    defer_leaves,
+    fetch_nothing,
     is_scan,
     make_scratch,
     scratch_for,
     traverse,
     visit_leaf,
+    visit_nothing,
 )
 from ..compiler import CACHE_LINE, WIDTH, inlined, lean_kernel, prefetch, stack_array
 from ..nodes import NONE, Tree, aligned_empty, entry_points
@@ -589,7 +592,9 @@ def _cast_group(snapshot, tree, octant, rows, rays, scratch, tally, hits):
             *(scratch.stack, pairs, snapshot.loose > 0),
         )
         group = octant, rows, alive
-        traverse(snapshot, tree, group, rays, room, tally, defer_leaf, never_better)
+        traverse(
+            snapshot, tree, group, rays, room, tally, take_leaves, fetch_nothing, visit_nothing
+        )
         flush_deferred(tree, rows, rays, room, tally)
     found = scratch.found[: tally[FOUND]]
     for place in range(found.shape[0]):
@@ -604,22 +609,18 @@ def _cast_group(snapshot, tree, octant, rows, rays, scratch, tally, hits):
 
 
 @inlined
-def defer_leaf(tree, rays, slot, listed, scratch, tally):
-    """Let rays wait that may meet a leaf, listed = (rows, places); ask for its memory."""
-    rows, places = listed
-    prefetch(rays.leaves.records, slot, 1)
-    for place in places:
-        scratch.pairs[tally[WAITING]] = slot << 32 | place
-        tally[WAITING] += 1
-        if tally[WAITING] == scratch.pairs.shape[0]:
-            flush_deferred(tree, rows, rays, scratch, tally)
-    return True
+def take_leaves(snapshot, tree, node, listed, rays, scratch, tally, hit_lanes):
+    return defer_leaves(snapshot, tree, node, listed, rays, scratch, tally, hit_lanes, defer_leaf)
 
 
 @inlined
-def never_better(tree, ray, rays, row, slot, best):
-    """As `is_better` where no leaf is visited as it is met: `defer_leaf` has taken them all."""
-    return False, best[1], best[2]
+def defer_leaf(tree, rays, slot, rows, place, scratch, tally):
+    """Let a ray wait that may meet a leaf; prefetch its memory."""
+    prefetch(rays.leaves.records, slot, 1)
+    scratch.pairs[tally[WAITING]] = slot << 32 | np.int64(place)
+    tally[WAITING] += 1
+    if tally[WAITING] == scratch.pairs.shape[0]:
+        flush_deferred(tree, rows, rays, scratch, tally)
 
 
 @lean_kernel

@@ -2,6 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Sixteen float32 lanes at once: the boxes of a wide node."""
 
+import functools
 from typing import Any
 
 from llvmlite import ir
@@ -209,5 +210,67 @@ def above16(typingctx, planes, node, plane):
             height = builder.call(fma, [builder.load(corner, align=4), along, height])
         above = builder.fcmp_ordered('>=', height, splat(builder, place, WIDTH))
         return builder.zext(builder.bitcast(above, ir.IntType(WIDTH)), _INT)
+
+    return sig, codegen
+
+
+@intrinsic
+def crossed16(typingctx, triangles, node, axis, line, depths):
+    """Bit mask of the sixteen triangles of a wide node that a line may cross; `depths` becomes how
+    far it goes at most until it crosses each, inf where it may not cross it after its origin.
+    `triangles32` tells what a line is, (7,) float32, and bounds the rounding.
+    """
+    sig = types.uint32(triangles, types.int64, types.int64, line, depths)
+
+    def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        def part(k: int, first: Any, length: Any) -> Any:
+            return elements_at(context, builder, signature.args[k], args[k], first, length)
+
+        def row(corner: int, axis: Any) -> Any:
+            first = builder.mul(builder.add(axis, index(3 * corner)), index(WIDTH))
+            place = builder.bitcast(builder.gep(corners, [first]), _WIDE.as_pointer())
+            return builder.load(place, align=4)
+
+        def determinant(one: Any, other: Any) -> Any:
+            product = builder.fneg(builder.fmul(one[1], other[0]))
+            return builder.call(fma, [one[0], other[1], product])
+
+        def most(order: str, values: list[Any]) -> Any:
+            return functools.reduce(lambda a, b: pick(builder, order, a, b), values)
+
+        fma = operation(builder, 'llvm.fma.v16f32', _WIDE, [_WIDE] * 3)
+        size = operation(builder, 'llvm.fabs.v16f32', _WIDE, [_WIDE])
+        floats = index(9 * WIDTH)
+        corners, line = part(0, builder.mul(args[1], floats), floats), part(3, index(0), index(7))
+        across, up, right, above, ahead, start, pad = (
+            splat(builder, builder.load(builder.gep(line, [index(k)])), WIDTH) for k in range(7)
+        )
+        one, other = (builder.urem(builder.add(args[2], index(k)), index(3)) for k in (1, 2))
+        places, depths = [], []
+        for corner in range(3):
+            along = row(corner, args[2])
+            back = builder.fneg(along)
+            x = builder.call(fma, [back, across, builder.fsub(row(corner, one), right)])
+            y = builder.call(fma, [back, up, builder.fsub(row(corner, other), above)])
+            places.append((x, y))
+            depths.append(builder.call(fma, [along, ahead, builder.fneg(start)]))
+        a, b, c = places
+        sides = [determinant(b, c), determinant(c, a), determinant(a, b)]
+        far = most('>', [builder.call(size, [number]) for place in places for number in place])
+        about, more = (ir.Constant(_WIDE, [x] * WIDTH) for x in (2.0**-16, 2.0**-38))
+        slack = builder.call(fma, [far, about, more])
+        lowest, highest, minus = most('<', sides), most('>', sides), builder.fneg(slack)
+        left = builder.fcmp_ordered('<', lowest, minus)
+        right = builder.fcmp_ordered('>', highest, slack)
+        sure = builder.or_(
+            builder.fcmp_ordered('>', lowest, slack), builder.fcmp_ordered('<', highest, minus)
+        )
+        sure = builder.and_(sure, builder.fcmp_ordered('>', most('<', depths), pad))
+        beyond = builder.fadd(most('>', depths), pad)
+        beyond = builder.select(sure, beyond, ir.Constant(_WIDE, [float('inf')] * WIDTH))
+        out = builder.bitcast(part(4, index(0), index(WIDTH)), _WIDE.as_pointer())
+        builder.store(beyond, out, align=4)
+        crossed = builder.not_(builder.and_(left, right))
+        return builder.zext(builder.bitcast(crossed, ir.IntType(WIDTH)), _INT)
 
     return sig, codegen
