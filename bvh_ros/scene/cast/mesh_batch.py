@@ -18,7 +18,6 @@ from ...tree.access import (
     CLOSEST,
     DIRECTION,
     EXACT,
-    FOUND,
     INSIDE,
     MIXED,
     NONE,
@@ -27,7 +26,6 @@ from ...tree.access import (
     RAY_ROWS,
     REFUSED,
     ROOT,
-    TALLY,
     begin_batch,
     crossed16,
     end_query,
@@ -183,6 +181,7 @@ def sort(pairs, count):
 
 
 AHEAD = 8  # places from where memory is prefetched to where it is read
+WAITING = 0  # in the tally of `take_triangles`: how many triangles lines wait for
 
 
 class Lines(NamedTuple):
@@ -216,9 +215,9 @@ def take_triangles(wide, surface, node, listed, rays, stream, tally, hit_lanes):
                 record.limit = min(record.limit, depths[lane])
                 lanes = without_lowest(lanes)
                 prefetch(surface.corners, 3 * face, 1)
-                rays.deferred[tally[FOUND]] = face << 32 | np.int64(k)
-                tally[FOUND] += 1
-                if tally[FOUND] == rays.deferred.shape[0]:
+                rays.deferred[tally[WAITING]] = face << 32 | np.int64(k)
+                tally[WAITING] += 1
+                if tally[WAITING] == rays.deferred.shape[0]:
                     decide_deferred(surface, rays, stream, tally)
             stream.hit_lanes[i] = np.uint32(stream.hit_lanes[i] & ~leaves)
     lanes = others
@@ -232,8 +231,8 @@ def take_triangles(wide, surface, node, listed, rays, stream, tally, hit_lanes):
 @lean_kernel
 def decide_deferred(surface, rays, stream, tally):
     """See of the triangles that lines may cross which are the first ones."""
-    for i in range(tally[FOUND]):
-        ahead = rays.deferred[min(i + AHEAD, tally[FOUND] - 1)] >> 32
+    for i in range(tally[WAITING]):
+        ahead = rays.deferred[min(i + AHEAD, tally[WAITING] - 1)] >> 32
         for number in range(3):
             prefetch(surface.vertices, 3 * np.int64(surface.corners[ahead, number]), 1)
         face, k = rays.deferred[i] >> 32, rays.deferred[i] & 0xFFFFFFFF
@@ -246,7 +245,7 @@ def decide_deferred(surface, rays, stream, tally):
         if is_within(surface.vertices, corner, *line, crossing, rays.ends[k, 2]):
             best.slot, best.best_t = face, crossing.s
             best.limit = min(best.limit, limit32(crossing.s, best.unit))
-    tally[FOUND] = 0
+    tally[WAITING] = 0
 
 
 @inlined
@@ -289,7 +288,7 @@ def cast_at_mesh(world, rays, start, begin, end, room):
     surface, is_solid = surface_of(hulls, shape), form_of(hulls, shape) != SHELL
     wide, zero = surface.wide, stack_array(3, np.float64)
     given, ray = stack_array((RAY_ROWS, 3), np.float64), stack_array((RAY_ROWS, 3), np.float64)
-    tally = stack_array(TALLY, np.int64)
+    tally = stack_array(1, np.int64)
     zero[0] = zero[1] = zero[2] = 0.0
     for j in range(begin, end):
         place, k = room.pairs[j] & 0xFFFFFFFF, j - begin
@@ -323,7 +322,7 @@ def cast_at_mesh(world, rays, start, begin, end, room):
             s, face = first_crossing(surface, ray, reach - first)
             if face != NONE:
                 take_entry(world, rays, room, k, (place, slot, s, face), t_max)
-    tally[FOUND] = 0
+    tally[WAITING] = 0
     if alive == 0:
         return
     parts = room.lines, room.ends, room.axes, room.lines32, room.deferred

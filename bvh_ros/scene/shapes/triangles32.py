@@ -120,8 +120,8 @@ def meet_triangles(snapshot, around, node, nearest):
 # "Watertight Ray/Triangle Intersection"). In a snapshot's units the mesh lies within 1, and a line
 # through it within 2 on the plane through the center. So with e = 2**-24 a sheared coordinate is
 # off by less than 16 e, and a determinant of two corners no farther than m from the origin by less
-# than 4 (16 e) m + 2 (16 e)**2 + 3 e m**2, where m is less than 8.
-
+# than 4 (16 e) m + 2 (16 e)**2 + 3 e m**2, where m is less than 8. `crossed16` allows for
+# 2**-16 m + 2**-38.
 
 LINE = 7  # numbers of a line
 BEYOND = 2.0**-21  # of 1 and where a line begins: more than what rounds a depth

@@ -123,8 +123,8 @@ def next_wide_leaf(snapshot, records, place, mask, stack, top):
 
 @inlined
 def next_line_leaf(snapshot, ray, line, mask, stack, top, meet):
-    """`next_wide_leaf` of a ray = (records, place), of the leaves that meet(snapshot, (ray, line),
-    node, nearest) leaves of those of `meet_ray`.
+    """`next_wide_leaf` of a ray = (records, place); `meet` is as of `next_child`, where the query
+    is (ray, line), and begins with `meet_ray`.
     """
     records, place = ray
     limit = bits_of(records[place[0]].limit)
