@@ -111,6 +111,10 @@ def test_no_crossed_triangle_is_left_out(name, decade):
     away = rng.normal(size=goals.shape) * 10.0 ** rng.uniform(-6, 2, (len(goals), 1))
     away[::3] = np.roll(triangles[:, 0], 1, axis=0)[: len(away[::3])] - goals[::3]
     origins, directions = (goals - away) * 10.0**decade, away * 10.0**decade
+    # Between triangles, so that lines cross some behind their origins.
+    corners = rng.choice(triangles.reshape(-1, 3), (2, 400)) * 10.0**decade
+    origins = np.concatenate([origins, corners.mean(axis=0)])
+    directions = np.concatenate([directions, rng.normal(size=(400, 3)) * 10.0**decade])
     whole, apart = scenes_of(triangles * 10.0**decade)
     wanted = np.min([scene.raycast_many(origins, directions).t for scene in apart], axis=0)
     some = slice(0, 40)  # so few go one by one
