@@ -37,7 +37,6 @@ from .batch.snapshot import (
 from .batch.streams import (
     FOUND,
     MIXED,
-    TALLY,
     cast_entry,
     defer_leaves,
     fetch_nothing,
