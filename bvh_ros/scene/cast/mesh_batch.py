@@ -250,9 +250,9 @@ def decide_deferred(surface, rays, stream, tally):
 
 @inlined
 def take(world, others, place, hit):
-    """Keep a hit that is before the other shapes of a ray so far."""
+    """Keep a hit that is before the other shapes of a ray so far; none at inf."""
     best = hit_at(others, place)
-    before = hit.t < best.t or (hit.t == best.t and best.slot == NONE)
+    before = hit.t < best.t
     if hit.t == best.t and best.slot != NONE:
         before = world.handles[hit.slot] < world.handles[best.slot]
     if before:

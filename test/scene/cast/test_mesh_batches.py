@@ -7,7 +7,7 @@ import pytest
 from scene.reference import icosphere
 from scene.shapes.test_any_mesh import ring as torus
 
-from bvh_ros.scene import Mesh, Scene, Shapes
+from bvh_ros.scene import NO_NODE, Mesh, Scene, Shapes
 
 COUNT = 1_500  # more than go together
 RING = torus(24, 10, 1000) / 1000.0
@@ -98,3 +98,13 @@ def test_threads_and_rays_that_are_not_finite(shapes):
     directions[COUNT - 1, 1] = np.nan
     with pytest.raises(ValueError, match='row 1499'):
         scene.raycast_many(origins, directions)
+
+
+@pytest.mark.parametrize('count', [1, 80])
+def test_a_hit_at_no_double_is_a_miss(count):
+    ball = Mesh(icosphere(2), solid=False)
+    scene = scene_of([Shapes.of_meshes(ball, np.zeros((1, 3)))])
+    starts = np.tile([16.0, 0.01, 0.02], (count, 1))
+    hits = scene.raycast_many(starts, np.tile([-(2.0**-1022), 0.0, 0.0], (count, 1)))
+    assert np.isinf(hits.t).all()  # 15 * 2**1022 is more than the largest double
+    assert (hits.handles == NO_NODE).all()
