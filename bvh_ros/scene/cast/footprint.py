@@ -45,7 +45,7 @@ from ..shapes.footprint import (
 from ..shapes.hull import are_any
 from ..shapes.shape import length, scale_of
 from ..shapes.surface import first_flat
-from .mesh import GROWN, MINUTE, BallNodes, come_near, enter_ball
+from .mesh import GROWN, MINUTE, BallNodes, come_near, enter_ball, time_in
 from .shapes import (
     COORDINATES,
     FRAME_SLACK,
@@ -221,7 +221,7 @@ def enter_thin_shadows(surface, footprint, pair, t_max):
         return np.inf, np.int64(ROUND)
     if s == 0.0 and begin == 0.0:
         return 0.0, np.int64(INSIDE)
-    return min(math.ldexp(begin + s, exponent), t_max), np.int64(FACE + face)
+    return time_in(begin + s, exponent, t_max), np.int64(FACE + face)
 
 
 class Disc(NamedTuple):

@@ -20,6 +20,7 @@ from ...tree.access import (
     DIRECTION,
     FARTHEST_ORIGIN,
     INSIDE,
+    LARGEST,
     NONE,
     ORIGIN,
     RAY_ROWS,
@@ -93,7 +94,13 @@ def enter_triangles(surface, is_solid, shape, pair, t_max):
         return np.inf, ROUND
     if begin + s == 0.0:  # exactly
         return 0.0, np.int64(INSIDE)
-    return min(ldexp(begin + s, exponent), t_max), FACE + face
+    return time_in(begin + s, exponent, t_max), FACE + face
+
+
+@inlined
+def time_in(s, exponent, t_max):
+    """The t of a hit, s times a power of two, as `shapes.time_of`."""
+    return min(ldexp(s, exponent), t_max, LARGEST)
 
 
 MINUTE, SHORT, LONG = 2.0**-200, 2.0**-20, 2.0**20

@@ -55,7 +55,7 @@ from ..shapes.surface import (
 )
 from ..shapes.triangles32 import LINE, fill_line
 from .arguments import SCRATCH, CastWorld, Hits, scratch_in
-from .mesh import come_near, into_frame
+from .mesh import come_near, into_frame, time_in
 from .query import (
     Caster,
     Hit,
@@ -250,7 +250,7 @@ def decide_deferred(surface, rays, stream, tally):
 
 @inlined
 def take(world, others, place, hit):
-    """Keep a hit that is before the other shapes of a ray so far; none at inf."""
+    """Keep a hit that is before the other shapes of a ray so far."""
     best = hit_at(others, place)
     before = hit.t < best.t
     if hit.t == best.t and best.slot != NONE:
@@ -276,7 +276,7 @@ def take_entry(world, rays, room, k, entry, t_max):
         if not rays.skip_inside:
             take(world, room.others, place, Hit(slot, 0.0, np.int64(INSIDE)))
     else:
-        t = min(ldexp(room.ends[k, 1] + s, int(room.ends[k, 0])), t_max)
+        t = time_in(room.ends[k, 1] + s, int(room.ends[k, 0]), t_max)
         take(world, room.others, place, Hit(slot, t, FACE + face))
 
 
