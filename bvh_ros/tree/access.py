@@ -107,7 +107,6 @@ from .query.ray import (
 from .query.ray_queries import answer_rays
 from .query.slab import (
     DIRECTION,
-    EXACT,
     INSIDE,
     ORIGIN,
     RAY_FLOATS,

@@ -15,9 +15,7 @@ import numpy as np
 
 from ...tree.access import (
     CHANGES,
-    CLOSEST,
     DIRECTION,
-    EXACT,
     INSIDE,
     MIXED,
     NONE,
@@ -45,14 +43,7 @@ from ..shapes.footprint import FACE
 from ..shapes.hull import form_of, surface_of
 from ..shapes.mesh import SHELL
 from ..shapes.shape import MESH, ldexp
-from ..shapes.surface import (
-    CLOSE,
-    cross_triangle,
-    first_crossing,
-    holds_point,
-    is_before,
-    is_within,
-)
+from ..shapes.surface import CLOSE, crosses_first, first_crossing, holds_point
 from ..shapes.triangles32 import LINE, fill_line
 from .arguments import SCRATCH, CastWorld, Hits, scratch_in
 from .mesh import come_near, into_frame, time_in
@@ -188,26 +179,23 @@ class Lines(NamedTuple):
     """What `traverse` reads of rays, and what decides of them."""
 
     masks: Any
-    mode: Any
-    lines: Any
-    ends: Any
-    axes: Any
-    lines32: Any
-    deferred: Any
+    room: Any
     zero: Any
+    """A zero vector."""
 
 
 @inlined
 def take_triangles(wide, surface, node, listed, rays, stream, tally, hit_lanes):
     """For `traverse`: let the lines wait that may cross triangles of a wide node."""
     (_, places), leaves, depths = listed, leaves_of(wide, node), stack_array(WIDTH, np.float32)
+    room = rays.room
     others = np.uint32(hit_lanes & ~leaves)
     if others != hit_lanes:
         for i in range(places.shape[0]):
             k, lanes = places[i], np.uint32(stream.hit_lanes[i] & leaves)
             if lanes == np.uint32(0):
                 continue
-            lanes &= crossed16(wide.triangles, node, rays.axes[k], rays.lines32[k], depths)
+            lanes &= crossed16(wide.triangles, node, room.axes[k], room.lines32[k], depths)
             record = stream.records[k]
             while lanes != np.uint32(0):
                 lane = np.int64(trailing_zeros(lanes))
@@ -215,10 +203,10 @@ def take_triangles(wide, surface, node, listed, rays, stream, tally, hit_lanes):
                 record.limit = min(record.limit, depths[lane])
                 lanes = without_lowest(lanes)
                 prefetch(surface.corners, 3 * face, 1)
-                rays.deferred[tally[WAITING]] = face << 32 | np.int64(k)
+                room.deferred[tally[WAITING]] = face << 32 | np.int64(k)
                 tally[WAITING] += 1
-                if tally[WAITING] == rays.deferred.shape[0]:
-                    decide_deferred(surface, rays, stream, tally)
+                if tally[WAITING] == room.deferred.shape[0]:
+                    decide_deferred(surface, rays, tally)
             stream.hit_lanes[i] = np.uint32(stream.hit_lanes[i] & ~leaves)
     lanes = others
     while lanes != np.uint32(0):
@@ -229,22 +217,20 @@ def take_triangles(wide, surface, node, listed, rays, stream, tally, hit_lanes):
 
 
 @lean_kernel
-def decide_deferred(surface, rays, stream, tally):
+def decide_deferred(surface, rays, tally):
     """See of the triangles that lines may cross which are the first ones."""
+    room = rays.room
     for i in range(tally[WAITING]):
-        ahead = rays.deferred[min(i + AHEAD, tally[WAITING] - 1)] >> 32
+        ahead = room.deferred[min(i + AHEAD, tally[WAITING] - 1)] >> 32
         for number in range(3):
             prefetch(surface.vertices, 3 * np.int64(surface.corners[ahead, number]), 1)
-        face, k = rays.deferred[i] >> 32, rays.deferred[i] & 0xFFFFFFFF
-        best, corner = stream.records[k], surface.corners[face]
-        line = rays.lines[k, 0], rays.lines[k, 1], rays.zero
-        crossing = cross_triangle(surface.vertices, corner, *line)
-        one, other = (crossing.s, face), (best.best_t, np.int64(best.slot))
-        if crossing.s == np.inf or not (best.slot == NONE or is_before(surface, line, one, other)):
-            continue
-        if is_within(surface.vertices, corner, *line, crossing, rays.ends[k, 2]):
-            best.slot, best.best_t = face, crossing.s
-            best.limit = min(best.limit, limit32(crossing.s, best.unit))
+        face, k = room.deferred[i] >> 32, room.deferred[i] & 0xFFFFFFFF
+        best, line = room.stream.records[k], (room.lines[k, 0], room.lines[k, 1], rays.zero)
+        before = (best.best_t if best.slot != NONE else np.inf), np.int64(best.slot)
+        first, s = crosses_first(surface, line, face, room.ends[k, 2], before)
+        if first:
+            best.slot, best.best_t = face, s
+            best.limit = min(best.limit, limit32(s, best.unit))
     tally[WAITING] = 0
 
 
@@ -325,12 +311,11 @@ def cast_at_mesh(world, rays, start, begin, end, room):
     tally[WAITING] = 0
     if alive == 0:
         return
-    parts = room.lines, room.ends, room.axes, room.lines32, room.deferred
-    lines, group = Lines(EVERYBODY, CLOSEST, *parts, zero), (MIXED, stream.rows, alive)
+    lines, group = Lines(EVERYBODY, room, zero), (MIXED, stream.rows, alive)
     traverse(
         wide, surface, group, lines, stream, tally, take_triangles, fetch_nothing, visit_nothing
     )
-    decide_deferred(surface, lines, stream, tally)
+    decide_deferred(surface, lines, tally)
     for j in range(alive):
         k = stream.lists[j]
         place, best = room.pairs[begin + k] & 0xFFFFFFFF, stream.records[k]
@@ -373,9 +358,6 @@ def cast_together(view, snapshot, shapes, node_handles, rays, place, room, hits)
     tree, (row, stop) = view.tree, place
     scratch = scratch_in(stack_array(SCRATCH, np.float64), 3)
     direction = stack_array(3, np.float64)
-    for k in range(TOGETHER):
-        room.stream.rows[k] = k
-    room.stream.ray[EXACT, 0] = 0.0
     if not begin_batch(tree, view.version, snapshot):
         return REFUSED, np.int64(0), 0
     version = tree.state[CHANGES]

@@ -34,7 +34,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numba import types
 
-from ...tree.access import DIRECTION, INSIDE
+from ...tree.access import DIRECTION, INSIDE, LARGEST
 from ...tree.compiler import chosen_by_types, inlined, lean_kernel, stack_array
 from ..shapes.footprint import ROUND
 from ..shapes.shape import hypot, length, scale_of
@@ -59,7 +59,7 @@ def time_of(s, pace, t_max):
     """The t at which a ray has gone so far; a hit has one even where it exceeds the doubles."""
     if not 0.0 < s < np.inf:
         return s
-    return min(s / pace, t_max, 1.7976931348623157e308)
+    return min(s / pace, t_max, LARGEST)
 
 
 # The radius of a ball is None for a thin ray: then nothing of balls is compiled.

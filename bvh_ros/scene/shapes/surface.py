@@ -481,16 +481,24 @@ class First(NamedTuple):
 
 @inlined
 def _visit_first(surface, ray, face, zero, found):
-    corner = surface.corners[face]
-    crossing = cross_triangle(surface.vertices, corner, ray[ORIGIN], ray[DIRECTION], zero)
-    within = is_within(
-        surface.vertices, corner, ray[ORIGIN], ray[DIRECTION], zero, crossing, found.reach
-    )
-    if within and crossing.s < np.inf:
-        line = ray[ORIGIN], ray[DIRECTION], zero
-        if is_before(surface, line, (crossing.s, face), (found.s, found.face)):
-            found = First(crossing.s, face, found.reach)
+    line, best = (ray[ORIGIN], ray[DIRECTION], zero), (found.s, found.face)
+    first, s = crosses_first(surface, line, face, found.reach, best)
+    if first:
+        found = First(s, face, found.reach)
     return found, min(found.s, found.reach) * (1.0 + CLOSE)
+
+
+@inlined
+def crosses_first(surface, line, face, reach, best):
+    """(Whether a line, (origin, direction, zero vector), crosses a triangle up to a distance and
+    before the best one, (s, row), or (inf, NONE); where).
+    """
+    corner = surface.corners[face]
+    crossing = cross_triangle(surface.vertices, corner, *line)
+    first = crossing.s < np.inf and is_before(surface, line, (crossing.s, face), best)
+    if first:
+        first = is_within(surface.vertices, corner, *line, crossing, reach)
+    return first, crossing.s
 
 
 @inlined

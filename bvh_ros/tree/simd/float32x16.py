@@ -1,6 +1,6 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Sixteen float32 lanes at once: the boxes of a wide node."""
+"""Sixteen float32 lanes at once: the boxes of a wide node, and its triangles."""
 
 import functools
 from typing import Any
@@ -217,7 +217,7 @@ def above16(typingctx, planes, node, plane):
 @intrinsic
 def crossed16(typingctx, triangles, node, axis, line, depths):
     """Bit mask of the sixteen triangles of a wide node that a line may cross; `depths` becomes how
-    far it goes at most until it crosses each, inf where it may not cross it after its origin.
+    far it goes at most until it crosses each, inf where it may not do so after its origin.
     `triangles32` tells what a line is, (7,) float32, and bounds the rounding.
     """
     sig = types.uint32(triangles, types.int64, types.int64, line, depths)
@@ -242,35 +242,35 @@ def crossed16(typingctx, triangles, node, axis, line, depths):
         size = operation(builder, 'llvm.fabs.v16f32', _WIDE, [_WIDE])
         floats = index(9 * WIDTH)
         corners, line = part(0, builder.mul(args[1], floats), floats), part(3, index(0), index(7))
-        across, up, right, above, ahead, start, pad = (
+        slope_x, slope_y, place_x, place_y, ahead, start, pad = (
             splat(builder, builder.load(builder.gep(line, [index(k)])), WIDTH) for k in range(7)
         )
         one, other = (builder.urem(builder.add(args[2], index(k)), index(3)) for k in (1, 2))
-        places, depths = [], []
+        places, forward = [], []
         for corner in range(3):
             along = row(corner, args[2])
             back = builder.fneg(along)
-            x = builder.call(fma, [back, across, builder.fsub(row(corner, one), right)])
-            y = builder.call(fma, [back, up, builder.fsub(row(corner, other), above)])
+            x = builder.call(fma, [back, slope_x, builder.fsub(row(corner, one), place_x)])
+            y = builder.call(fma, [back, slope_y, builder.fsub(row(corner, other), place_y)])
             places.append((x, y))
-            depths.append(builder.call(fma, [along, ahead, builder.fneg(start)]))
+            forward.append(builder.call(fma, [along, ahead, builder.fneg(start)]))
         a, b, c = places
         sides = [determinant(b, c), determinant(c, a), determinant(a, b)]
         far = most('>', [builder.call(size, [number]) for place in places for number in place])
         about, more = (ir.Constant(_WIDE, [x] * WIDTH) for x in (2.0**-16, 2.0**-38))
         slack = builder.call(fma, [far, about, more])
         lowest, highest, minus = most('<', sides), most('>', sides), builder.fneg(slack)
-        left = builder.fcmp_ordered('<', lowest, minus)
-        right = builder.fcmp_ordered('>', highest, slack)
+        below = builder.fcmp_ordered('<', lowest, minus)
+        above = builder.fcmp_ordered('>', highest, slack)
         sure = builder.or_(
             builder.fcmp_ordered('>', lowest, slack), builder.fcmp_ordered('<', highest, minus)
         )
-        sure = builder.and_(sure, builder.fcmp_ordered('>', most('<', depths), pad))
-        beyond = builder.fadd(most('>', depths), pad)
+        sure = builder.and_(sure, builder.fcmp_ordered('>', most('<', forward), pad))
+        beyond = builder.fadd(most('>', forward), pad)
         beyond = builder.select(sure, beyond, ir.Constant(_WIDE, [float('inf')] * WIDTH))
         out = builder.bitcast(part(4, index(0), index(WIDTH)), _WIDE.as_pointer())
         builder.store(beyond, out, align=4)
-        crossed = builder.not_(builder.and_(left, right))
+        crossed = builder.not_(builder.and_(below, above))
         return builder.zext(builder.bitcast(crossed, ir.IntType(WIDTH)), _INT)
 
     return sig, codegen
