@@ -63,7 +63,7 @@ def wide_kernel() -> Any:
     better = rewired(streams.is_better, quick_decision=_plain_verdict)
     pile = rewired(
         streams.cast_pile,
-        is_first=rewired(streams.is_first, is_better=better),
+        visit_box=rewired(streams.visit_box, is_first=rewired(streams.is_first, is_better=better)),
         write_hit=rewired(streams.write_hit, exact_entry_axis=_plain_axis),
     )
     return rewired(streams.cast_rows, cast_pile=pile)
