@@ -108,8 +108,7 @@ def _jobs_of(parameters: Path) -> list[Job]:
     import rclpy
     from rclpy.node import Node
 
-    from bvh_ros.ros.config.parameters import ConfigurationError
-    from bvh_ros.ros.server import BvhServer
+    from bvh_ros.ros.access import BvhServer, ConfigurationError
 
     rclpy.init(args=['--ros-args', '--params-file', str(parameters)])
     try:

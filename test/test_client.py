@@ -19,7 +19,7 @@ from rclpy.executors import SingleThreadedExecutor
 from ros.patience import PATIENCE
 
 from bvh_ros.client import BvhClient, BvhError, BvhTimeoutError, Hit
-from bvh_ros.ros.qos import REQUESTS
+from bvh_ros.ros.access import REQUESTS
 
 SERVICES = 'raycast', 'raycast_all', 'overlap', 'nearest'
 

@@ -23,16 +23,14 @@ from sensor_msgs.msg import LaserScan, PointCloud2
 from visualization_msgs.msg import Marker, MarkerArray
 
 from bvh_ros.client import BvhClient, BvhTimeoutError
+from bvh_ros.ros.access import BvhServer, FrameError, Frames, Transform, nanoseconds
 from bvh_ros.ros.cdr import marker_array
 from bvh_ros.ros.config.parameters import LASER_SCAN, ScanSettings, scan_settings
 from bvh_ros.ros.conversions import rotations
 from bvh_ros.ros.conversions.markers import MarkerTable
 from bvh_ros.ros.conversions.outlines import TRIANGLES
 from bvh_ros.ros.conversions.query_clouds import Hits, read_answers
-from bvh_ros.ros.conversions.times import nanoseconds
 from bvh_ros.ros.parts.diagnostics import Maintenance
-from bvh_ros.ros.server import BvhServer
-from bvh_ros.ros.world.frames import FrameError, Frames, Transform
 from bvh_ros.scene import AS_SURFACE, ShapeKind, Shapes, mesh_of, unchecked_shapes
 from bvh_ros.view.worlds import (
     NO_POINTS,

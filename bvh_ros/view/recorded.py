@@ -17,7 +17,7 @@ from rclpy.parameter import Parameter
 
 from bvh_ros import bags, replay, scenarios
 from bvh_ros.replay import Extent
-from bvh_ros.ros.server import BvhServer
+from bvh_ros.ros.access import BvhServer
 from bvh_ros.scenarios import Question
 from bvh_ros.scene import NodeScene
 from bvh_ros.view.worlds import Moment, Recording

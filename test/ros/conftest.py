@@ -309,7 +309,7 @@ def configure(ros: Any) -> Iterator[Callable[[dict[str, Any]], Any]]:
     from rclpy.node import Node
     from rclpy.parameter import Parameter
 
-    from bvh_ros.ros.server import BvhServer
+    from bvh_ros.ros.access import BvhServer
 
     nodes = []
 

@@ -64,9 +64,9 @@ def run_node(arguments: Sequence[str], log: Path, environment: Mapping[str, str]
         os.dup2(output.fileno(), 2)
     faulthandler.register(signal.SIGUSR1)
     sys.argv = ['bvh_node', *arguments]
-    from bvh_ros.ros import node
+    from bvh_ros.commands import bvh_node
 
-    sys.exit(node.main())
+    sys.exit(bvh_node())
 
 
 def settings() -> dict[str, str]:

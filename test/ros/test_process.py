@@ -16,7 +16,7 @@ from ros.patience import COMPILING, PATIENCE
 
 pytest.importorskip('rclpy', reason='rclpy is not installed', exc_type=ImportError)
 
-from bvh_ros.ros.config.parameters import ConfigurationError
+from bvh_ros.ros.access import ConfigurationError
 
 OVERRIDES = 'qos_overrides./configured/obstacles.subscription'
 GRID = {'sources': ['g'], 'g.type': 'OccupancyGrid', 'g.topic': 'g'}

@@ -15,7 +15,7 @@ from sensor_msgs.msg import PointCloud2
 from turns import unit_quaternions
 from visualization_msgs.msg import MarkerArray
 
-from bvh_ros.client import FREE, UNANSWERED, BvhClient, BvhError, BvhTimeoutError, regions
+from bvh_ros.client import FREE, UNANSWERED, BvhClient, BvhError, BvhTimeoutError
 
 pytestmark = pytest.mark.slow
 
@@ -265,7 +265,7 @@ def test_what_nobody_knows_is_not_free(nodes, monkeypatch):
     parts[3].process.kill()
     parts[3].process.wait()
     # The first waits until it times out; the others remember that the node is silent.
-    monkeypatch.setattr(regions, 'SILENT', PATIENCE)
+    monkeypatch.setattr('bvh_ros.client.regions.SILENT', PATIENCE)
     first = hasty.raycast_many(*rays, 18.0, timeout=20.0)
     for _ in range(2):
         began = time.monotonic()

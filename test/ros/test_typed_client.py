@@ -13,7 +13,7 @@ from ros.patience import PATIENCE
 from turns import unit_quaternions
 
 from bvh_ros.client import COMPILING, FREE, UNANSWERED, BvhClient, BvhError, BvhTimeoutError
-from bvh_ros.ros.server import has_typed_services
+from bvh_ros.ros.access import has_typed_services
 from bvh_ros.scene import ShapeKind, Shapes
 
 ROWS = 60

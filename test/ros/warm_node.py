@@ -22,7 +22,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 from ros.clouds import cloud
 from sensor_msgs.msg import PointCloud2
 
-from bvh_ros.ros.server import BvhServer
+from bvh_ros.ros.access import BvhServer
 
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 SPHERE, CYLINDER, CUBE_LIST, TRIANGLE_LIST = 2, 3, 6, 11

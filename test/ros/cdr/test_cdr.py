@@ -110,6 +110,28 @@ def typical(count=3):
     return MarkerArray(markers=found)
 
 
+def test_several_messages_read_as_one(messages):
+    many = [messages.marker(i, (i, 0, 0), ns=f'n{i // 2}') for i in range(7)]
+    for marker in many[2:5]:
+        marker.type = Marker.CUBE_LIST
+        marker.points = [Point(x=1.0 * marker.id, y=2.0)] * marker.id
+        marker.header.frame_id += 'x' * marker.id  # so that lengths differ
+        marker.mesh_resource = f'file:///{marker.id}'
+    parts = [many[:1], [], many[1:4], many[4:]]
+    raws = [serialize_message(MarkerArray(markers=part)) for part in parts]
+    whole = marker_array.read(serialize_message(MarkerArray(markers=many)))
+    read = marker_array.read(*raws)
+    for name, found, wanted in zip(whole._fields[:-3], read[:-3], whole[:-3], strict=True):
+        assert np.array_equal(found, wanted), name
+    for row in range(len(many)):
+        assert np.array_equal(read.points(row), whole.points(row))
+        assert np.array_equal(read.colours(row), whole.colours(row))
+        assert read.resource(row) == many[row].mesh_resource
+    broken = b'\x00\x01\x00\x00\x07\x00\x00\x00'  # seven markers, and no byte of them
+    with pytest.raises(ValueError, match='7 markers do not fit'):
+        marker_array.read(raws[0], broken, raws[2])
+
+
 def reason(message):
     """Why a message is refused; empty if it is not."""
     try:

@@ -15,7 +15,7 @@ from rclpy.validate_full_topic_name import validate_full_topic_name
 from rclpy.validate_namespace import validate_namespace
 from ros.patience import COMPILING, PATIENCE
 
-from bvh_ros.ros.server import has_typed_services
+from bvh_ros.ros.access import has_typed_services
 
 POLICY = Path(__file__).parents[3] / 'config' / 'bvh_policy.xml'
 # What sros2's schema allows of the elements used: attributes (those that must be there first),

@@ -3,8 +3,9 @@
 """Markers as the columns that the decoder reads from their bytes, by their Python objects."""
 
 import numpy as np
+from ros.conversions.generators import ended
 
-from bvh_ros.ros.conversions.markers import MarkerTable
+from bvh_ros.ros.conversions import markers as conversion
 from bvh_ros.ros.conversions.times import nanoseconds
 
 
@@ -39,9 +40,14 @@ def table(markers):
         found = np.array([(c.r, c.g, c.b, c.a) for c in markers[row].colors], np.float64)
         return found.reshape(-1, 4)
 
-    return MarkerTable(
+    return conversion.MarkerTable(
         *(list(namespaces), namespace, list(frame_ids), frame),
         *(stamp, number, kind, action),
         *(places[:, :3], places[:, 3:7], places[:, 7:]),
         *(lifetime, points, resource, colours),
     )
+
+
+def change_of(markers, **given):
+    """What visualization_msgs/Marker objects change in a scene."""
+    return ended(conversion.change(table(markers), **given))

@@ -10,10 +10,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from ros.conversions.generators import ended
-from ros.conversions.marker_tables import table
+from ros.conversions.marker_tables import change_of
 
-from bvh_ros.ros.conversions import markers
-from bvh_ros.ros.world.frames import FrameError, Transform
+from bvh_ros.ros.access import FrameError, SourceSettings, Transform, create_source
 from bvh_ros.scene import NodeScene, ShapeKind
 
 ARROW, CUBE, SPHERE, CYLINDER, CUBE_LIST, SPHERE_LIST, MESH, TRIANGLES = 0, 1, 2, 3, 6, 7, 10, 11
@@ -59,7 +58,7 @@ def into_map(frame_id, stamp):
 
 def change(*array, prefix='', latest=None):
     given = {'now': NOW, 'into_node': into_map, 'prefix': prefix, 'latest': latest}
-    return ended(markers.change(table(array), **given))
+    return change_of(array, **given)
 
 
 def names_of(change):
@@ -83,7 +82,7 @@ def test_a_stamp_that_is_not_believed_adds_and_removes_nothing():
     assert list(found.removed.texts()) == ['a/3']
     assert (found.clears, found.namespaces) == (False, [])
     assert [refusal.row for refusal in found.refusals] == [1, 3, 4, 5, 6]
-    assert {refusal.reason for refusal in found.refusals} == {markers.TOO_FAR_AHEAD}
+    assert {refusal.reason for refusal in found.refusals} == {'its stamp is too far in the future'}
     assert not change(*given[:3]).refusals
 
 
@@ -357,15 +356,13 @@ def copy(vector, message):
 def source_of():
     """A source of markers without a node."""
     pytest.importorskip('rclpy', reason='rclpy is not installed', exc_type=ImportError)
-    from bvh_ros.ros.config.parameters import SourceSettings
-    from bvh_ros.ros.sources.marker_array import MarkerArraySource
 
     def make(scene):
         node = SimpleNamespace(get_logger=logging.getLogger, get_clock=lambda: None)
         settings = SourceSettings(
             *('test', 'MarkerArray', 'test', '', False, 0.0), {'meshes': 'convex'}
         )
-        return MarkerArraySource(node, settings, scene, SimpleNamespace(into_node=into_map))
+        return create_source(node, settings, scene, SimpleNamespace(into_node=into_map))
 
     return make
 

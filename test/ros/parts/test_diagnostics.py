@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """What /diagnostics tells, over ROS 2."""
 
-import logging
 import math
 
 import numpy as np
@@ -13,11 +12,10 @@ pytest.importorskip('rclpy', reason='rclpy is not installed', exc_type=ImportErr
 from bvh_ros import DynamicBVH
 from bvh_ros.ros.parts import diagnostics
 from bvh_ros.ros.parts.part import MOST, Timings
-from bvh_ros.ros.texts import LISTED, Refused
 from bvh_ros.ros.world.large_changes import LargeChanges
 from bvh_ros.ros.world.views import WHOLE
 from bvh_ros.ros.world.world import IncompleteWorldError, World
-from bvh_ros.scene import NodeScene, Refusal, Shapes
+from bvh_ros.scene import NodeScene, Shapes
 
 OK, WARN, ERROR = b'\x00', b'\x01', b'\x02'
 
@@ -138,18 +136,6 @@ def test_validate_tells_figures(busy):
 
 
 # ---- the parts
-
-
-def test_refused_rows_are_listed_up_to_a_limit(caplog):
-    refused = Refused(logging.getLogger('test'), 'source')
-    refused.add_rows([Refusal(row, f'a/{row}', f'reason {row}') for row in range(7)])
-    rows = refused.rows()
-    assert rows['refused rows'].splitlines() == [f"'a/{i}': reason {i}" for i in range(7)]
-    assert rows['refused rows not listed'] == 0
-    refused.add_rows([Refusal(row, f'b/{row}', 'no') for row in range(3 * LISTED)])
-    rows = refused.rows()
-    assert len(rows['refused rows'].splitlines()) == LISTED
-    assert rows['refused rows not listed'] == 2 * LISTED + 7
 
 
 def test_what_is_refused_last_is_in_the_log(world, messages):

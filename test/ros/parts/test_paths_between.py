@@ -148,7 +148,7 @@ def test_the_times_of_ways(start_node, messages):
     ],
 )
 def test_a_footprint_that_is_no_polygon(configure, given, why):
-    from bvh_ros.ros.config.parameters import ConfigurationError
+    from bvh_ros.ros.access import ConfigurationError
 
     with pytest.raises(ConfigurationError, match=why):
         configure({'footprint_height': 1.0, **given})

@@ -15,19 +15,19 @@ pytest.importorskip('rclpy', reason='rclpy is not installed', exc_type=ImportErr
 import rclpy
 from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Path
+from ros.clouds import table
 from ros.parts.mixed_world import FACING, PARAMETERS, PLACE, SHAPES, fill, same_scene
 from ros.patience import COMPILING, PATIENCE
 from sensor_msgs.msg import PointCloud2
 from turns import unit_quaternions
 
 from bvh_ros.client import FREE, UNANSWERED, BvhClient, BvhError
-from bvh_ros.ros.config.parameters import SHARED
-from bvh_ros.ros.conversions import query_clouds
+from bvh_ros.ros.access import ConfigurationError
 from bvh_ros.scene import NO_NODE, NodeScene, Shapes
 
 pytestmark = pytest.mark.slow
 
-ASKED = SHARED + 10
+ASKED = 1034  # from 1024 rows on several threads share them
 RNG = np.random.default_rng(17)
 FOOTPRINT = [0.8, 0.5, 0.4]
 GIVEN = {**PARAMETERS, 'footprint': FOOTPRINT, 'nearest_limit': 5, 'threads': 2}
@@ -182,7 +182,7 @@ def test_in_another_frame(world, scene, node):
         client.check_path(points, frame_id='mars')
 
 
-def replies(world, asked, told, message, kind):
+def replies(world, asked, told, message):
     """What is told of a message that no client of ours would send."""
     heard = []
     topics = f'{world.name}/{asked}', f'{world.name}/{told}'
@@ -195,25 +195,22 @@ def replies(world, asked, told, message, kind):
     world.until(lambda: heard)
     world.node.destroy_publisher(publisher)
     world.node.destroy_subscription(subscription)
-    return query_clouds.read_answers(heard[0], kind)
+    return table(heard[0])
 
 
 def test_clouds_that_say_too_little(world, messages):
-    for asked, told, kind, names in (
-        ('points', 'nearest_hits', query_clouds.Near, 'xy'),
-        ('boxes', 'box_hits', query_clouds.Touched, 'xyz'),
-    ):
+    for asked, told, names in (('points', 'nearest_hits', 'xy'), ('boxes', 'box_hits', 'xyz')):
         cloud = messages.cloud({name: np.zeros(3) for name in [*names, 'sx', 'a', 'b', 'c']})
-        rows = replies(world, asked, told, cloud, kind)
-        assert rows.obstacles.tolist() == [UNANSWERED] * 3
-        assert np.isnan(rows.distances).all()
+        rows = replies(world, asked, told, cloud)
+        assert rows['obstacle'].tolist() == [UNANSWERED] * 3
+        assert np.isnan(rows['distance']).all()
     path = Path()
     path.header.frame_id = 'map'
     for frame in ('', 'map', 'lidar'):
         path.poses.append(PoseStamped())
         path.poses[-1].header.frame_id = frame
-    rows = replies(world, 'paths', 'path_hits', path, query_clouds.Near)
-    assert (rows.obstacles == UNANSWERED).tolist() == [False, False, True]
+    rows = replies(world, 'paths', 'path_hits', path)
+    assert (rows['obstacle'] == UNANSWERED).tolist() == [False, False, True]
 
 
 def test_nearest_as_a_service(client, scene, world):
@@ -253,8 +250,6 @@ def test_an_incomplete_world(start_node, node):
 
 
 def test_a_footprint_that_is_none(configure):
-    from bvh_ros.ros.config.parameters import ConfigurationError
-
     for wrong in ([1.0, 2.0], [-1.0], [math.inf], [0.0, 1.0, 1.0]):
         with pytest.raises(ConfigurationError, match='footprint'):
             configure({'footprint': wrong})
@@ -263,8 +258,6 @@ def test_a_footprint_that_is_none(configure):
 
 def test_what_paths_need_is_compiled_at_the_start(configure):
     """And is then no longer to be compiled when somebody asks."""
-    from bvh_ros.ros.compile_jobs import later_jobs
-
     for given, has_paths in (
         ({'footprint': [0.3]}, True),
         ({'footprint': [0.3], 'batch': False}, False),
@@ -275,4 +268,3 @@ def test_what_paths_need_is_compiled_at_the_start(configure):
             names = [job.name for job in server.jobs(wholly=wholly)]
             assert names.count('paths') == has_paths
             assert wholly == ('nearest' in names)
-        assert 'paths' not in {job.name for job in later_jobs(server.needs())}

@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Nothing that is told or asked is lost, or it is seen, over real processes."""
 
-import os
 import time
 from types import SimpleNamespace
 
@@ -12,18 +11,13 @@ import pytest
 pytest.importorskip('rclpy', reason='rclpy is not installed', exc_type=ImportError)
 
 from nav_msgs.srv import GetPlan
-from rclpy.duration import Duration
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
-from rclpy.serialization import serialize_message
-from ros.patience import PATIENCE
 from sensor_msgs.msg import PointCloud2
 from visualization_msgs.msg import MarkerArray
 
-from bvh_ros.ros.qos import DEPTH, REQUESTS, Delivery
-from bvh_ros.ros.sources.subscribing import FollowingSubscription
+from bvh_ros.ros.access import DEPTH, REQUESTS
 
 DEEP = QoSProfile(depth=DEPTH)
-LATCHED_DEEP = QoSProfile(depth=DEPTH, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 LATCHED = QoSProfile(depth=5, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 BEST_EFFORT = QoSProfile(depth=5, reliability=ReliabilityPolicy.BEST_EFFORT)
 BURST = 1000
@@ -60,62 +54,6 @@ def test_a_burst_of_changes(world, messages, publish):
     status = world.status('source markers')
     assert (status.level, status.values['messages lost']) == (OK, '0')
     assert world.trigger('clear').success
-
-
-def test_what_is_left_of_a_publisher_that_is_gone_is_heard_once(ros, messages):
-    """Kept messages come by two subscriptions; nobody is counted when they are taken."""
-    node, executor = ros
-    heard, topic = [], f'gone_{os.getpid()}'
-    subscription = FollowingSubscription(
-        node, MarkerArray, topic, heard.extend, Delivery(latched=True, raw=True)
-    )
-    sent = [serialize_message(MarkerArray(markers=[messages.marker(i)])) for i in range(300)]
-    for first in (0, 100, 200):
-        publisher = node.create_publisher(MarkerArray, topic, LATCHED_DEEP)
-        ends = time.monotonic() + PATIENCE
-        while publisher.get_subscription_count() < 2:
-            assert time.monotonic() < ends
-            executor.spin_once(0.01)
-        for message in sent[first : first + 100]:
-            publisher.publish(message)
-        assert publisher.wait_for_all_acked(Duration(seconds=PATIENCE))
-        node.destroy_publisher(publisher)
-        while subscription.publishers():
-            assert time.monotonic() < ends
-            time.sleep(0.01)
-    ends = time.monotonic() + PATIENCE
-    while len(heard) < len(sent):
-        assert time.monotonic() < ends
-        executor.spin_once(0.05)
-    for _ in range(10):  # and none comes twice
-        executor.spin_once(0.05)
-    assert heard == sent
-    assert subscription.lost == 0
-    subscription.destroy()
-
-
-def test_a_burst_costs_few_rounds_of_the_executor(ros):
-    """Whoever is woken takes all that waits: a round costs more than a small message does."""
-    node, executor = ros
-    heard, rounds = [], 0
-    topic = f'burst_{os.getpid()}'
-    subscription = FollowingSubscription(
-        node, MarkerArray, topic, heard.extend, Delivery(raw=True)
-    )
-    publisher = node.create_publisher(MarkerArray, topic, DEEP)
-    while not publisher.get_subscription_count():
-        executor.spin_once(0.01)
-    for burst in range(200):
-        for _ in range(20):
-            publisher.publish(MarkerArray())
-        ends = time.monotonic() + PATIENCE
-        while len(heard) < 20 * (burst + 1):
-            assert time.monotonic() < ends, f'{len(heard)} heard'
-            executor.spin_once(PATIENCE)
-            rounds += 1
-    assert rounds < 20 * 200 / 2
-    subscription.destroy()
-    node.destroy_publisher(publisher)
 
 
 @pytest.mark.slow

@@ -27,9 +27,13 @@ from scipy.spatial.transform import Rotation
 from shape_msgs.msg import Mesh, MeshTriangle, Plane, SolidPrimitive
 from vision_msgs.msg import Detection3D, Detection3DArray, ObjectHypothesisWithPose
 
-from bvh_ros.ros.config.parameters import SourceSettings
-from bvh_ros.ros.sources import SOURCE_TYPES, create_source
-from bvh_ros.ros.world.frames import Frames, TransformSettings
+from bvh_ros.ros.access import (
+    SOURCE_TYPES,
+    Frames,
+    SourceSettings,
+    TransformSettings,
+    create_source,
+)
 from bvh_ros.scene import NodeScene, ShapeKind
 
 TYPES = 'Detection3DArray', 'CollisionObject', 'PlanningScene', 'Octomap'

@@ -9,10 +9,15 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
-from bvh_ros.ros.config.parameters import ConfigurationError, TransformSettings
-from bvh_ros.ros.conversions import rotations
-from bvh_ros.ros.world.frames import FrameError, Frames, listen_to_tf2
+from bvh_ros.ros.access import (
+    ConfigurationError,
+    FrameError,
+    Frames,
+    TransformSettings,
+    listen_to_tf2,
+)
 
 
 class FakeBuffer:
@@ -97,7 +102,8 @@ def test_chains_of_fixed_transforms(lower, upper):
     transform = Frames('map', None, fixed).into_node('lidar')
     expected = (points @ TURNS[upper].T + lidar) @ TURNS[lower].T + base
     assert np.allclose(transform.points(points), expected, rtol=0, atol=1e-14)
-    turned = rotations.rotate(transform.orientations(rotations.normalised(QUARTER)), np.eye(3)).T
+    quarter = np.array(QUARTER) / np.linalg.norm(QUARTER)
+    turned = Rotation.from_quat(transform.orientations(quarter)).as_matrix()
     assert np.allclose(turned, TURNS[lower] @ TURNS[upper] @ TURNS[QUARTER], rtol=0, atol=1e-14)
 
 

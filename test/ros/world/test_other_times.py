@@ -382,7 +382,7 @@ def test_a_node_of_which_no_source_predicts_does_not_look_at_stamps(start_node, 
 
 
 def test_which_parameters_are_refused(configure):
-    from bvh_ros.ros.config.parameters import ConfigurationError
+    from bvh_ros.ros.access import ConfigurationError
 
     for given in ({'history': -1.0}, {'markers.predict': 'given'}, {'max_prediction': -1.0}):
         with pytest.raises(ConfigurationError, match=next(iter(given))):

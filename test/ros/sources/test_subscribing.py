@@ -1,11 +1,26 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What the numbers of messages tell, what is then missing, and what waits, without ROS."""
+"""A subscription: what it hears, and what the numbers of messages tell: what is missing, what is
+heard twice, and what waits.
+"""
 
+import math
+import os
 import random
+import time
 
 import pytest
 
+pytest.importorskip('rclpy', reason='rclpy is not installed', exc_type=ImportError)
+
+import rclpy
+from rclpy.duration import Duration
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from rclpy.serialization import serialize_message
+from ros.patience import PATIENCE
+from visualization_msgs.msg import Marker, MarkerArray
+
+from bvh_ros.ros.access import DEPTH, Delivery
 from bvh_ros.ros.sources import subscribing
 from bvh_ros.ros.sources.subscribing import (
     DELAY,
@@ -15,13 +30,17 @@ from bvh_ros.ros.sources.subscribing import (
     TOGETHER,
     Backlog,
     Completeness,
+    FollowingSubscription,
     Heard,
     Merger,
     Numbering,
     Received,
 )
+from bvh_ros.ros.spinning import SturdyExecutor
 
 NEW = Heard(is_new=True)
+DEEP = QoSProfile(depth=DEPTH)
+LATCHED_DEEP = QoSProfile(depth=DEPTH, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
 
 @pytest.mark.parametrize(
@@ -141,3 +160,108 @@ def test_small_messages_are_taken_out_together():
         backlog.add(received('f'), NEXT)
     assert [len(backlog.next()) for _ in range(3)] == [TOGETHER] * 3
     assert not len(backlog)
+
+
+# ---- a subscription
+
+
+def test_what_is_left_of_a_publisher_that_is_gone_is_heard_once(ros, messages):
+    """Kept messages come by two subscriptions; nobody is counted when they are taken."""
+    node, executor = ros
+    heard, topic = [], f'gone_{os.getpid()}'
+    subscription = FollowingSubscription(
+        node, MarkerArray, topic, heard.extend, Delivery(latched=True, raw=True)
+    )
+    sent = [serialize_message(MarkerArray(markers=[messages.marker(i)])) for i in range(300)]
+    for first in (0, 100, 200):
+        publisher = node.create_publisher(MarkerArray, topic, LATCHED_DEEP)
+        ends = time.monotonic() + PATIENCE
+        while publisher.get_subscription_count() < 2:
+            assert time.monotonic() < ends
+            executor.spin_once(0.01)
+        for message in sent[first : first + 100]:
+            publisher.publish(message)
+        assert publisher.wait_for_all_acked(Duration(seconds=PATIENCE))
+        node.destroy_publisher(publisher)
+        while subscription.publishers():
+            assert time.monotonic() < ends
+            time.sleep(0.01)
+    ends = time.monotonic() + PATIENCE
+    while len(heard) < len(sent):
+        assert time.monotonic() < ends
+        executor.spin_once(0.05)
+    for _ in range(10):  # and none comes twice
+        executor.spin_once(0.05)
+    assert heard == sent
+    assert subscription.lost == 0
+    subscription.destroy()
+
+
+def test_a_burst_costs_few_rounds_of_the_executor(ros):
+    """Whoever is woken takes all that waits: a round costs more than a small message does."""
+    node, executor = ros
+    heard, rounds = [], 0
+    topic = f'burst_{os.getpid()}'
+    subscription = FollowingSubscription(
+        node, MarkerArray, topic, heard.extend, Delivery(raw=True)
+    )
+    publisher = node.create_publisher(MarkerArray, topic, DEEP)
+    while not publisher.get_subscription_count():
+        executor.spin_once(0.01)
+    for burst in range(200):
+        for _ in range(20):
+            publisher.publish(MarkerArray())
+        ends = time.monotonic() + PATIENCE
+        while len(heard) < 20 * (burst + 1):
+            assert time.monotonic() < ends, f'{len(heard)} heard'
+            executor.spin_once(PATIENCE)
+            rounds += 1
+    assert rounds < 20 * 200 / 2
+    subscription.destroy()
+    node.destroy_publisher(publisher)
+
+
+def test_a_busy_topic_wakes_nobody_and_is_heard_by_who_asks(ros_context, monkeypatch):
+    monkeypatch.setattr(subscribing, 'TURN', math.inf)  # however long the machine pauses
+    node = rclpy.create_node('busy')
+    executor = SturdyExecutor()
+    executor.add_node(node)
+    heard, topic = [], f'busy_{os.getpid()}'
+    subscription = FollowingSubscription(
+        node, MarkerArray, topic, heard.extend, Delivery(together=True, raw=True)
+    )
+    publisher = node.create_publisher(MarkerArray, topic, DEEP)
+    sent = []
+
+    def publish():
+        marker = Marker(id=len(sent))
+        sent.append(serialize_message(MarkerArray(markers=[marker])))
+        publisher.publish(sent[-1])
+        assert publisher.wait_for_all_acked(Duration(seconds=PATIENCE))
+
+    def spin_until(condition):
+        ends = time.monotonic() + PATIENCE
+        while not condition():
+            assert time.monotonic() < ends
+            executor.spin_once(0.001)
+
+    spin_until(publisher.get_subscription_count)
+    for _ in range(3):
+        ends = time.monotonic() + PATIENCE
+        while not executor.resting:
+            assert time.monotonic() < ends
+            publish()
+            executor.spin_once(0)
+        before = len(heard)
+        publish()
+        assert len(heard) == before
+        subscription.catch_up()
+        assert heard == sent
+        spin_until(lambda: not executor.resting)  # nothing comes any more
+        publish()
+        spin_until(lambda: len(heard) == len(sent))
+        assert heard == sent
+    subscription.destroy()
+    executor.remove_node(node)
+    executor.shutdown()
+    node.destroy_node()
