@@ -335,11 +335,10 @@ def client(monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
     """A client whose questions are never answered, which it notices at once."""
     rclpy = pytest.importorskip('rclpy', reason='rclpy is not installed', exc_type=ImportError)
     from bvh_ros.client import BvhClient
-    from bvh_ros.client.waiting import Waiting
 
     context = rclpy.Context()
     rclpy.init(args=[], context=context)
-    monkeypatch.setattr(Waiting, 'until', lambda *_: False)
+    monkeypatch.setattr('bvh_ros.client.waiting.Waiting.until', lambda *_: False)
     yield BvhClient(rclpy.create_node('odd', context=context), timeout=0.01)
     rclpy.try_shutdown(context=context)
 

@@ -6,15 +6,13 @@ from collections.abc import Callable
 
 import pytest
 
-from bvh_ros.scene import slicing
-
 
 @pytest.fixture
 def set_slices(monkeypatch: pytest.MonkeyPatch) -> Callable[[int, int], None]:
     """Set how few obstacles are updated at once, and how many rows a slice has."""
 
     def patch(at_once: int, rows: int, prefix: str = '') -> None:
-        monkeypatch.setattr(slicing, f'{prefix}AT_ONCE', at_once)
-        monkeypatch.setattr(slicing, f'{prefix}SLICE', rows)
+        monkeypatch.setattr(f'bvh_ros.scene.slicing.{prefix}AT_ONCE', at_once)
+        monkeypatch.setattr(f'bvh_ros.scene.slicing.{prefix}SLICE', rows)
 
     return patch

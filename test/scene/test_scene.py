@@ -145,7 +145,7 @@ def test_memory_for_new_obstacles_is_asked_for_before_anything_changes(monkeypat
     def refuse(updates, rows):
         raise MemoryError
 
-    monkeypatch.setattr(type(scene._updates), 'require_memory', refuse)
+    monkeypatch.setattr('bvh_ros.scene.updates.Updates.require_memory', refuse)
     assert not scene.update('s', ['a'], box._replace(position=np.ones((1, 3))), stamp=2)
     with pytest.raises(MemoryError):
         scene.update('s', ['b'], box, stamp=3)

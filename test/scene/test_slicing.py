@@ -7,14 +7,15 @@ import itertools
 import numpy as np
 import pytest
 
-from bvh_ros.scene import NodeScene, Numbered, Part, ShapeKind, Shapes, slicing, unchecked_shapes
+from bvh_ros.scene import NodeScene, Numbered, Part, ShapeKind, Shapes, unchecked_shapes
 
+SLICE = 7  # rows
 PLACES = 120  # where boxes may stand, on a line
 
 
 @pytest.fixture(autouse=True)
 def small_slices(set_slices):
-    set_slices(20, 7)
+    set_slices(20, SLICE)
 
 
 def random_part(random, stamp, shaped):
@@ -143,7 +144,7 @@ def test_few_rows_in_place_of_very_many_take_many_turns():
     scene.update('s', Numbered('c#', np.arange(60)), shapes, stamp=1)
     part = Part(Numbered('d#', np.arange(2)), shapes.take(slice(2)), 2)
     left = [len(scene) for _ in scene.in_slices('s', '', 2, part.cut, whole=True)]
-    assert max(np.abs(np.diff(left))) <= slicing.SLICE
+    assert max(np.abs(np.diff(left))) <= SLICE
     assert sorted(name for _, name in scene.names()) == ['d#0', 'd#1']
 
 

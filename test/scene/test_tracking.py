@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scene.inside import store_of
 
-from bvh_ros.scene import NodeScene, Numbered, Part, Shapes, slicing
+from bvh_ros.scene import NodeScene, Numbered, Part, Shapes
 from bvh_ros.scene.tracking import Tracks
 
 SECOND = 1_000_000_000
@@ -113,7 +113,7 @@ def test_who_vanishes_begins_anew_and_many_are_followed_at_once(set_slices):
         if tick == 3:
             scene.remove('s', ['b#7'])
         if tick == 4:  # in slices
-            set_slices(100, slicing.SLICE)
+            set_slices(100, 256)
         rows = rng.permutation(500)
         boxes = Shapes.boxes((places + 0.1 * tick * speeds)[rows], [1, 1, 1])
         part = Part(Numbered('b#', rows), boxes, NOW + tick * SECOND // 10, velocities=tracks)

@@ -15,6 +15,7 @@ from tree.arguments import HI, LO, LOW, ONE, some_tree
 from tree.reference import snapshot
 
 from bvh_ros import DynamicBVH
+from bvh_ros.tree.access import OpenTree
 
 NEVER = [np.array(['NaT'] * 3, 'M8[s]'), masked((3,)), ['1'] * 3, [10**400] * 3, [None] * 3]
 
@@ -117,9 +118,10 @@ def test_a_subclass_is_loaded_and_built(tmp_path: Path) -> None:
 
 def test_no_handle_is_looked_for_under_a_mask() -> None:
     tree = some_tree()
+    openly = OpenTree.from_boxes(*tree.boxes(tree.ids()))
     ids = np.ma.masked_array(tree.ids(), [True] + [False] * 7)
     rays = np.zeros((8, 3)), np.ones((8, 3))
-    for call in (tree._slots, tree.boxes, tree.remove_many, lambda x: tree.exits(*rays, x)):
+    for call in (openly.slots, tree.boxes, tree.remove_many, lambda x: tree.exits(*rays, x)):
         with pytest.raises(ValueError, match=r'masked'):
             call(ids)
     assert len(tree) == 8

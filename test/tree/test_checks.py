@@ -14,6 +14,7 @@ from tree.arguments import ARGUMENTS, HI, LO, ONE, ask, some_tree
 from tree.reference import snapshot
 
 from bvh_ros import DynamicBVH
+from bvh_ros.tree.access import OpenTree
 
 NAN, INF = float('nan'), float('inf')
 
@@ -118,8 +119,7 @@ UNKNOWN: list[tuple[Callable[[DynamicBVH], Any], str]] = [
     (lambda t: t.set_masks([5], 1), '5'),
     (lambda t: t.boxes([*t.ids(), 123456789]), '123456789'),
     (lambda t: t.masks([0]), '0'),
-    (lambda t: t._slots([t.ids()[4], 7]), '7'),
-    (lambda t: t._slot(-1), '-1'),
+    (lambda t: OpenTree.from_boxes(LO, HI).slots([[7]]), '7'),
 ]
 
 

@@ -10,7 +10,7 @@ import pytest
 from tree.compiler.alone import run_alone
 
 import bvh_ros
-from bvh_ros.tree.compiler.workers import processors
+from bvh_ros.tree.compiler import processors
 
 START = """
 import gc, json, sys

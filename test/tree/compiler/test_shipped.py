@@ -12,8 +12,8 @@ import pytest
 from numba.core import config
 from tree.compiler.alone import run_alone
 
-from bvh_ros.tree import checks
-from bvh_ros.tree.compiler import compiling, kernel_cache, shipped
+from bvh_ros.tree.access import checks
+from bvh_ros.tree.compiler import kernel_cache, lean_kernel, shipped
 
 CALL = """
 import json, sys, warnings
@@ -87,7 +87,7 @@ def start_from(tmp_path, monkeypatch):
         forget()
         with warnings.catch_warnings(record=True) as said:
             warnings.simplefilter('always')
-            kernel = compiling.lean_kernel(checks.first_not_finite.py_func)
+            kernel = lean_kernel(checks.first_not_finite.py_func)
             assert kernel(ROWS) == 1
         return sum(kernel.stats.cache_misses.values()), [str(line.message) for line in said]
 

@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 
 from bvh_ros import DynamicBVH
+from bvh_ros.tree.access import OpenTree
 
 OFF = """
 import sys
@@ -127,9 +128,9 @@ def test_kept_in_files(tmp_path: Path):
 
 
 def test_whole_nanoseconds_and_how_long_boxes_go_on_are_kept(tmp_path: Path):
-    tree = DynamicBVH(ndim=2)
+    tree = OpenTree(ndim=2)
     box = tree.insert([0, 0], [1, 1])
-    tree._count_nanoseconds(0.3)
+    tree.count_nanoseconds(0.3)
     tree.set_velocities([box], [[10, 0]], reference=0.1)
     tree.save(tmp_path / 'tree.npz')
     others = DynamicBVH.load(tmp_path / 'tree.npz'), pickle.loads(pickle.dumps(tree))

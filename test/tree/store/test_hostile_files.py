@@ -21,13 +21,13 @@ import pytest
 from tree.reference import LONG, exact_hits, overlapping_pairs, overlapping_rows, seen
 
 from bvh_ros import DynamicBVH
-from bvh_ros.tree.nodes import SLOT_BITS
+from bvh_ros.tree.access import SLOT_MASK
 
 Rng = np.random.Generator
 State = dict[str, Any]
 
 ARRAYS = ('nodes', 'heights', 'tight', 'handles', 'state')
-NUMBERS = [0, 1, -1, -2, 2**31 - 1, -(2**31), 2**62, -(2**63), 7, 1 << SLOT_BITS, 41]
+NUMBERS = [0, 1, -1, -2, 2**31 - 1, -(2**31), 2**62, -(2**63), 7, SLOT_MASK + 1, 41]
 FLOATS = [np.nan, np.inf, -np.inf, 1e308, -1e308, 0.0, -0.0, 5e-324]
 
 
@@ -79,7 +79,7 @@ def name_free_slots(rng: Rng, state: State) -> None:
     handles = state['handles']
     free = np.flatnonzero(handles < 0)
     free = free[: int(rng.integers(len(free) + 1))]
-    handles[free] = (1 << SLOT_BITS) | free
+    handles[free] = (SLOT_MASK + 1) | free
 
 
 def exchange_free_lists(rng: Rng, state: State) -> None:
@@ -101,7 +101,7 @@ def forget_exact_boxes(rng: Rng, state: State) -> None:
 
 def give_serials_again(rng: Rng, state: State) -> None:
     live = np.flatnonzero(state['handles'] >= 0)
-    state['handles'][live] = (int(rng.integers(3)) << SLOT_BITS) | live
+    state['handles'][live] = int(rng.integers(3)) * (SLOT_MASK + 1) | live
 
 
 def change_a_value(rng: Rng, state: State) -> None:

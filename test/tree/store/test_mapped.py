@@ -19,7 +19,7 @@ from odd_files import WITH_TESTS
 from tree.reference import LONG, snapshot
 
 from bvh_ros import DynamicBVH
-from bvh_ros.tree.store import mapped
+from bvh_ros.tree.access import mapped
 
 DAMAGES = 3000 if LONG else 300
 

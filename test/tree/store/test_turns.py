@@ -13,10 +13,7 @@ from tree.compiler.alone import run_alone
 from tree.reference import effort
 
 from bvh_ros import DynamicBVH
-from bvh_ros.tree.access import NONE, OpenTree
-from bvh_ros.tree.nodes import TURN
-from bvh_ros.tree.store.storage import allocate
-from bvh_ros.tree.store.turns import CHANGING
+from bvh_ros.tree.access import OpenTree
 
 # Boxes stand in one of two places, all at once. Further ones come and go, and make the arrays
 # grow, where masks hide them. So each answer is that for one of the two places.
@@ -180,27 +177,6 @@ def test_a_growth_within_a_query() -> None:
     assert before is not None
     assert new not in view.tree.handles
     assert set(tree.raycast_many(starts, ways).ids) == {new}
-
-
-def test_arrays_that_another_thread_fills_stay_hidden() -> None:
-    """Handles are found in those of before; changes are refused."""
-    lo = np.random.default_rng(1).uniform(0, 20, (300, 3))
-    tree = OpenTree.from_boxes(lo, lo + 1)
-    handles, old = tree.ids(), tree._storage
-    heir = allocate(3, 600, False)
-    heir.tree.handles.fill(NONE)
-    heir.tree.state[TURN] = CHANGING
-    old.tree.state[TURN] = 1  # as if it were queried
-    old.heirs.append(heir)
-    np.testing.assert_array_equal(tree.boxes(handles)[0], lo)
-    assert handles[0] in tree
-    for change in (
-        lambda: tree.move_many(handles, lo, lo + 1),
-        lambda: tree.remove(int(handles[0])),
-        lambda: tree.insert_many(lo, lo + 1),
-    ):
-        with pytest.raises(RuntimeError, match='by another thread'):
-            change()
 
 
 def test_worker_threads_do_not_pile_up() -> None:
