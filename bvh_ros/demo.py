@@ -68,7 +68,7 @@ def _publisher(node: Node, client: BvhClient) -> Publisher:
     return publisher
 
 
-def _ask_first(node: Node, client: BvhClient, began: float) -> None:
+def ask_first(node: Node, client: BvhClient, began: float) -> None:
     """Say what the ray meets among the boxes that are not turned: that is answered before all
     that other questions and shapes need is compiled.
     """
@@ -167,7 +167,7 @@ def _run(options: argparse.Namespace, namespace: str) -> Table:
     client = BvhClient(node)
     with running_node(namespace, parameters) as process:
         began = time.monotonic()
-        first = None if options.replay else partial(_ask_first, node, client, began)
+        first = None if options.replay else partial(ask_first, node, client, began)
         wait_until_ready(client, process, first)
         print(f'ready after {time.monotonic() - began:.1f} s', flush=True)
         while True:

@@ -180,7 +180,7 @@ def play(recording: Recording, speed: float, node: Node, client: BvhClient) -> T
             for question in questions(extent):
                 table.ask(client, question, t, show=second > printed)
             printed = second
-        _ask_at_the_end(client, table, watch, t)
+        ask_at_the_end(client, table, watch, t)
     print(f'\n{recording.total} messages in {time.monotonic() - began:.1f} s; {table.summary()}')
     return table
 
@@ -199,7 +199,7 @@ def _publisher(node: Node, track: Track) -> Publisher:
     return publisher
 
 
-def _ask_at_the_end(client: BvhClient, table: Table, watch: Watch, t: float) -> None:
+def ask_at_the_end(client: BvhClient, table: Table, watch: Watch, t: float) -> None:
     """The last message takes a moment to arrive, and a recording may have one only."""
     watch.until_quiet(ARRIVES_WITHIN)
     if watch.extent is None:

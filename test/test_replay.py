@@ -258,7 +258,7 @@ def test_a_recording_without_obstacles_is_said_to_be_one():
             pass
 
     with pytest.raises(bags.BagError, match='brought no obstacle'):
-        replay._ask_at_the_end(None, None, NothingThere(), 0.0)
+        replay.ask_at_the_end(None, None, NothingThere(), 0.0)
 
 
 def test_another_definition_of_a_type_is_refused(tmp_path):

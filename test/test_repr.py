@@ -57,7 +57,7 @@ def test_batches_tell_how_many_rows_found_something() -> None:
 
 def test_batches_of_a_node_tell_what_it_did_not_answer() -> None:
     pytest.importorskip('sensor_msgs', reason='ROS is not installed')
-    from bvh_ros.ros.conversions.query_clouds import FREE, UNANSWERED, Hits, Near
+    from bvh_ros.client import FREE, UNANSWERED, Hits, Near
 
     handles, rows = np.array([7, FREE, UNANSWERED], np.uint32), np.zeros((3, 3))
     far = np.array([1.5, np.inf, np.nan])

@@ -26,10 +26,8 @@ from bvh_ros.client import BvhClient, BvhTimeoutError
 from bvh_ros.ros.access import BvhServer, FrameError, Frames, Transform, nanoseconds
 from bvh_ros.ros.cdr import marker_array
 from bvh_ros.ros.config.parameters import LASER_SCAN, ScanSettings, scan_settings
-from bvh_ros.ros.conversions import rotations
+from bvh_ros.ros.conversions import outlines, query_clouds, rotations
 from bvh_ros.ros.conversions.markers import MarkerTable
-from bvh_ros.ros.conversions.outlines import TRIANGLES
-from bvh_ros.ros.conversions.query_clouds import Hits, read_answers
 from bvh_ros.ros.parts.diagnostics import Maintenance
 from bvh_ros.scene import AS_SURFACE, ShapeKind, Shapes, mesh_of, unchecked_shapes
 from bvh_ros.view.worlds import (
@@ -51,9 +49,9 @@ from bvh_ros.view.worlds import (
 NO_BOXES = (NO_POINTS, NO_POINTS, np.empty(0, np.int64))
 LISTS = {Marker.CUBE_LIST: ShapeKind.BOX, Marker.SPHERE_LIST: ShapeKind.SPHERE}
 SINGLES = {Marker.SPHERE: ShapeKind.SPHERE, Marker.CYLINDER: ShapeKind.CYLINDER}
-CORNERS_A_BOX = len(TRIANGLES)
+CORNERS_A_BOX = len(outlines.TRIANGLES)
 # Where, among the corners of a box's triangles, each of its eight corners comes first.
-FIRST = np.array([int(np.flatnonzero(corner == TRIANGLES)[0]) for corner in range(8)])
+FIRST = np.array([int(np.flatnonzero(corner == outlines.TRIANGLES)[0]) for corner in range(8)])
 
 
 def obstacles(message: bytes) -> dict[str, Shapes]:
@@ -116,7 +114,7 @@ def _are_boxes(points: Floats) -> bool:
     if len(points) % CORNERS_A_BOX:
         return False
     corners = points.reshape(-1, CORNERS_A_BOX, 3)
-    return np.array_equal(corners, corners[:, FIRST][:, TRIANGLES])
+    return np.array_equal(corners, corners[:, FIRST][:, outlines.TRIANGLES])
 
 
 def _of_mesh(points: Floats) -> Shapes:
@@ -300,9 +298,9 @@ class Topics:
         if isinstance(scan, LaserScan):
             points = place.points(_points_of(scan))
         elif scan.header.frame_id == self._frames.frame_id:
-            points = read_answers(scan, Hits).points
+            points = query_clouds.read_answers(scan, query_clouds.Hits).points
         else:
-            points = place.points(read_answers(scan, Hits).points)
+            points = place.points(query_clouds.read_answers(scan, query_clouds.Hits).points)
         self.overlay = self.overlay._replace(scan=points[np.isfinite(points).all(axis=1)])
 
     def _place_of(self, stamped: PoseStamped) -> Transform:

@@ -38,7 +38,7 @@ class Page:
         self.panel = Panel(server, world, self.todo.put)
         self.stage = Stage(server, self.panel, world, placing)
         self.probe = Probe(server, placing)
-        self._picking = Picking(server, self.panel, world, self.stage, placing)
+        self.picking = Picking(server, self.panel, world, self.stage, placing)
         self._obstacles = Obstacles(server, placing)
         self._overlays = Overlays(server, placing)
         self._tree = Lines(server, placing, '/tree', 1.5)
@@ -55,14 +55,14 @@ class Page:
         panel = self.panel
         for control in (panel.dark, panel.grid, panel.shadows):
             panel.on(control, self.stage.set_theme)
-        panel.on(panel.dark, self._picking.go_on)
+        panel.on(panel.dark, self.picking.go_on)
         panel.on(panel.frames, self.stage.draw_frames)
         panel.on(panel.ask, self.ask)
         panel.on_click(panel.all, self.stage.look_at_all)
 
         @self.server.scene.on_click()
         def _(event: viser.SceneClickEvent) -> None:
-            self.todo.put(partial(self._picking.pick, event.ray_origin, event.ray_direction))
+            self.todo.put(partial(self.picking.pick, event.ray_origin, event.ray_direction))
 
     def run(self, ended: Callable[[], bool]) -> None:
         """Show, and let the world go on, until `ended`."""
@@ -94,7 +94,7 @@ class Page:
                 self.world.title, self._obstacles.count, self.probe.milliseconds,
                 self.world.figures(),
             )  # fmt: skip
-            self._picking.tell()
+            self.picking.tell()
 
     def ask(self) -> None:
         """Begin with what the panel says is to be asked."""
@@ -117,7 +117,7 @@ class Page:
         self._obstacles.draw([(self.numbers[name], shapes) for name, shapes in named])
         shown = [name for name in self.numbers if legend[name]]
         self.panel.tell_legend({name: (self.numbers[name], legend[name]) for name in shown})
-        self._picking.go_on()
+        self.picking.go_on()
 
     def _draw_tree(self, version: Hashable) -> None:
         if not self.panel.tree.value:

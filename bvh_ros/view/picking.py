@@ -34,12 +34,12 @@ class Following:
 
     def __init__(self, server: LocalServer) -> None:
         self._server = server
-        self._aims: dict[int, Floats] = {}  # of each client, where to look, on the page
+        self.aims: dict[int, Floats] = {}  # of each client, where to look, on the page
         self._targets: dict[int, deque[Floats]] = {}
 
     def begin(self) -> None:
         """Let cameras go on from where they look now."""
-        self._aims, self._targets = {}, {}
+        self.aims, self._targets = {}, {}
 
     def go(self, step: Floats) -> None:
         """Move all cameras, in units of the page."""
@@ -48,8 +48,8 @@ class Following:
             targets = self._targets.setdefault(number, deque([target], REMEMBERED))
             reach = SAME * np.linalg.norm(target - place)
             if np.linalg.norm(np.array(targets) - target, axis=1).min() > reach:
-                self._aims[number] = target  # where a hand has moved it
-            aim = self._aims[number] = self._aims.get(number, target) + step
+                self.aims[number] = target  # where a hand has moved it
+            aim = self.aims[number] = self.aims.get(number, target) + step
             owed = aim - target
             if np.allclose(aim, target) or np.allclose(place + owed, place):
                 continue  # viser would not tell the browser: with the next steps
@@ -79,10 +79,10 @@ class Picking:
         self, server: LocalServer, panel: Panel, world: ShownWorld, stage: Stage, placing: Placing
     ) -> None:
         self._panel, self._world, self._stage, self._placing = panel, world, stage, placing
-        self._following = Following(server)
+        self.following = Following(server)
         self._mark = Lines(server, placing, '/clicked', 4.0)
         self._picked, self._at, self._distance = '', np.zeros(3), 0.0
-        self._answered, self._followed = 'Click an obstacle.', np.zeros(3)
+        self.answered, self._followed = 'Click an obstacle.', np.zeros(3)
 
     def pick(self, origin: object, direction: object) -> None:
         """Cast a ray from the camera, and mark the obstacle that it hits."""
@@ -93,14 +93,14 @@ class Picking:
         try:
             answer = self._world.pick(start, ahead, reach)
         except (RuntimeError, ValueError) as error:
-            self._answered = escape(f'no answer: {error}')
+            self.answered = escape(f'no answer: {error}')
         else:
-            self._answered = 'Nothing is there.'
+            self.answered = 'Nothing is there.'
             if answer.hits:
                 hit = answer.hits[0]
                 self._picked, self._at = hit.name, np.array(hit.point)
                 self._distance = float(np.linalg.norm(self._at - start))
-                self._answered = in_words(answer._replace(hits=answer.hits[:1]))
+                self.answered = in_words(answer._replace(hits=answer.hits[:1]))
         known = self._picked in self._world.scene
         self._panel.follow.disabled = not known
         if known:
@@ -110,7 +110,7 @@ class Picking:
 
     def tell(self) -> None:
         """Show the name and the present state of the obstacle."""
-        lines = [self._answered]
+        lines = [self.answered]
         if self._picked:
             lines.append(f'distance {in_digits(self._distance)} m')
         if self._picked in self._world.scene:
@@ -132,9 +132,9 @@ class Picking:
         now = self._world.scene.get(self._picked).position
         moved, self._followed = now - self._followed, now
         if not self._panel.follow.value:
-            self._following.begin()
+            self.following.begin()
         elif moved.any():
-            self._following.go(moved / self._placing.unit)
+            self.following.go(moved / self._placing.unit)
 
     def _place_mark(self) -> None:
         scene = self._world.scene

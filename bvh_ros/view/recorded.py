@@ -91,14 +91,16 @@ class Bag(Recording):
         self._node.destroy_node()
 
 
-def open_recording(path: Path, topic: str = '') -> Recording:
-    """Open a track file (.csv) or a bag.
+def open_recording(path: Path | None, topic: str = '') -> Recording:
+    """Open a track file (.csv) or a bag; None is the warehouse.
 
     Raises
     ------
     RuntimeError
         If it cannot be read.
     """
+    if path is None:
+        return Tracks('warehouse', list(scenarios.warehouse()))
     if path.suffix == '.csv':
         return Tracks(path.name, list(scenarios.tracks(path)))
     if not rclpy.ok():
@@ -116,16 +118,18 @@ def as_parameters(values: object, prefix: str = '') -> list[Parameter]:
 
 # ---- A picture of a recording, or of the warehouse, without browser and node
 
+Point = Sequence[float]  # m
+
 
 class Answering:
     """Answers a demo's questions from a scene, as a client would, and keeps rays and hits."""
 
     def __init__(self, scene: NodeScene) -> None:
         self._scene = scene
-        self.rays: list[tuple[Sequence[float], Sequence[float]]] = []
-        self.hits: list[Sequence[float]] = []
+        self.rays: list[tuple[Point, Point]] = []
+        self.hits: list[Point] = []
 
-    def raycast(self, start: Sequence[float], end: Sequence[float], radius: float = 0.0) -> Any:
+    def raycast(self, start: Point, end: Point, radius: float = 0.0) -> Any:
         """Ask as `BvhClient.raycast` does."""
         hit = self._scene.raycast(start, end, radius)
         if hit is not None and radius:  # the ball's middle goes so far
@@ -134,9 +138,7 @@ class Answering:
         self.rays.append((start, end))
         return hit
 
-    def overlap(
-        self, lo: Sequence[float], hi: Sequence[float], *, tolerance: float = 0.0
-    ) -> list[Any]:
+    def overlap(self, lo: Point, hi: Point, *, tolerance: float = 0.0) -> list[Any]:
         """Ask as `BvhClient.overlap` does."""
         return list(self._scene.overlap(lo, hi, tolerance=tolerance))
 
@@ -155,10 +157,7 @@ def draw(file: Path, path: Path | None, topic: str = '') -> None:
     except ImportError as error:
         raise RuntimeError("pictures need matplotlib: pip install 'bvh_ros[report]'") from error
     matplotlib.use('agg')
-    if path is None:
-        recording: Recording = Tracks('warehouse', list(scenarios.warehouse()))
-    else:
-        recording = open_recording(path, topic)
+    recording = open_recording(path, topic)
     try:
         recording.seek(0.5 * recording.seconds)
         answers = Answering(recording.scene)

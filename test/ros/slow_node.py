@@ -9,8 +9,8 @@ FOLDER/compiles, and goes on once FOLDER/go is there. Not a test: `test_readines
 import sys
 from functools import partial
 
-from bvh_ros.ros import node, server
-from bvh_ros.ros.compile_jobs import Job, jobs
+from bvh_ros.commands import bvh_node
+from bvh_ros.ros.access import BvhServer
 
 FOLDER = sys.argv.pop(1)
 SLOW = f"""
@@ -22,10 +22,14 @@ while not (folder / 'go').exists():
 """
 
 
-def slow_jobs(needs):
+usual_jobs = BvhServer.jobs
+
+
+def slow_jobs(server, **given):
     """The usual ones, and one that waits."""
-    return [*jobs(needs), Job('what waits', FOLDER, 40.0, partial(exec, SLOW, {}))]
+    usual = usual_jobs(server, **given)
+    return [*usual, type(usual[0])('what waits', FOLDER, 40.0, partial(exec, SLOW, {}))]
 
 
-server.jobs = slow_jobs
-sys.exit(node.main())
+BvhServer.jobs = slow_jobs
+sys.exit(bvh_node())

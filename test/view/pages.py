@@ -14,9 +14,11 @@ from typing import Any
 
 import numpy as np
 
+from bvh_ros.scene import NodeScene
 from bvh_ros.scene.shapes.shape import rotations
-from bvh_ros.tree.plotting import PALETTE
+from bvh_ros.tree.access import PALETTE
 from bvh_ros.view.page import Page
+from bvh_ros.view.picking import view_of
 from bvh_ros.view.stage import LocalServer
 from bvh_ros.view.worlds import ShownWorld, namespace_of
 
@@ -31,6 +33,25 @@ def until(condition: Callable[[], Any], what: str) -> Any:
         assert time.monotonic() < deadline, what
         time.sleep(0.05)
     return found
+
+
+def page_of(name: str, scene: NodeScene, port: int) -> Page:
+    """A page of a scene, served from now on."""
+    return Page(LocalServer('127.0.0.1', port), ShownWorld(name, scene))
+
+
+def shown_scene(name: str, scene: NodeScene) -> contextlib.AbstractContextManager[Page]:
+    return shown(ShownWorld(name, scene))
+
+
+def shown_warehouse(at: float) -> contextlib.AbstractContextManager[Page]:
+    """The recorded one, at so many seconds."""
+    from bvh_ros.view.recorded import open_recording
+
+    recording = open_recording(None)
+    recording.playing = False
+    recording.seek(at)
+    return shown(recording)
 
 
 @contextlib.contextmanager
@@ -95,6 +116,16 @@ def press(browser: Any, label: str) -> None:
 
 def camera_of(page: Page) -> Any:
     return [*page.server.get_clients().values()][-1].camera
+
+
+def camera_due(page: Page) -> Any:
+    """Where a camera will be when the browser has carried out every command.
+
+    Its reports come late on a busy machine, so the camera may stand elsewhere for a moment.
+    """
+    number, client = [*page.server.get_clients().items()][-1]
+    place, target = view_of(client.camera)
+    return place + page.picking.following.aims.get(number, target) - target
 
 
 def pixel_of(page: Page, canvas: Any, point: Any) -> tuple[float, float]:

@@ -14,7 +14,6 @@ from view import pages
 from view.pages import text_of, until
 
 from bvh_ros.scene import Mesh, NodeScene, ShapeKind, Shapes
-from bvh_ros.view.worlds import ShownWorld
 
 pytestmark = pytest.mark.slow
 
@@ -49,7 +48,7 @@ def five(unit=1.0, at=(0.0, 0.0, 0.0)):
 
 @pytest.fixture(scope='module')
 def page():
-    with pages.shown(ShownWorld('five', five())) as shown:
+    with pages.shown_scene('five', five()) as shown:
         yield shown
 
 
@@ -131,7 +130,7 @@ def test_the_tunnel_of_viser_stays_shut(page):
 
 @pytest.mark.parametrize(('unit', 'at'), FARAWAY[1:])
 def test_far_from_the_origin_huge_and_tiny(browser, unit, at):
-    with pages.shown(ShownWorld('five', five(unit, at))) as page:
+    with pages.shown_scene('five', five(unit, at)) as page:
         pages.visit(browser, page, 5)
         until(lambda: pages.differences(browser, page)[1:] > (100, 0), 'nothing is seen')
         until(lambda: pages.differences(browser, page)[2] == 0, 'something else is seen')
@@ -139,7 +138,7 @@ def test_far_from_the_origin_huge_and_tiny(browser, unit, at):
 
 def test_a_world_that_is_empty_and_grows(browser):
     scene = NodeScene()
-    with pages.shown(ShownWorld('grows', scene)) as page:
+    with pages.shown_scene('grows', scene) as page:
         pages.visit(browser, page, 0)
 
         def put(name, x, size):

@@ -15,21 +15,16 @@ from view import pages
 from view.pages import press, text_of, until
 
 from bvh_ros import scenarios
-from bvh_ros.view.picking import REMEMBERED, view_of
-from bvh_ros.view.recorded import Tracks
 
 pytestmark = pytest.mark.slow
 
+MANY = 200  # steps: no report of a browser comes later than after so many
 MET = re.compile(r'(\S+) at \(([-.\d]+), ([-.\d]+), ([-.\d]+)\) m · [\d,]+ us')
 
 
 @pytest.fixture(scope='module')
 def page():
-    """The warehouse, at three seconds."""
-    recording = Tracks('warehouse', list(scenarios.warehouse()))
-    recording.playing = False
-    recording.seek(3.0)
-    with pages.shown(recording) as shown:
+    with pages.shown_warehouse(at=3.0) as shown:
         yield shown
 
 
@@ -127,23 +122,13 @@ def test_the_camera_goes_with_whom_it_follows(opened, page):
     until(went, 'the camera stays')
 
 
-def due(page):
-    """Where a camera will be when the browser has carried out every command.
-
-    Its reports come late on a busy machine, so the camera may stand elsewhere for a moment.
-    """
-    number, client = [*page.server.get_clients().items()][-1]
-    place, target = view_of(client.camera)
-    return place + page._picking._following._aims.get(number, target) - target
-
-
 def test_no_step_is_lost_by_a_late_report_or_because_it_is_small(opened, page):
     """What a browser reports overwrites what it was told meanwhile; viser tells no browser of a
     step that is 1e-5 of its coordinates.
     """
     assert page.panel.follow.value
     place, camera = page.world.scene.get('forklift/0').position, pages.camera_of(page)
-    began = due(page)
+    began = pages.camera_due(page)
     for number in range(1, 6):
         late, sent = copy(camera._state), page.sent
         done(page, lambda t=3.5 + 0.1 * number: page.world.seek(t))
@@ -155,18 +140,18 @@ def test_no_step_is_lost_by_a_late_report_or_because_it_is_small(opened, page):
     until(lambda: np.allclose(camera.position - began, moved, atol=5e-4), 'a step is lost')
 
     def creep():
-        for _ in range(REMEMBERED):  # reports of the browser may be later than all of them
-            page._picking._following.go(np.array((0.0, 1e-5, 0.0)))
+        for _ in range(MANY):
+            page.picking.following.go(np.array((0.0, 1e-5, 0.0)))
 
     began = began + moved  # not what the camera says: a late report may stand there for a moment
     done(page, creep)
-    crept = (0.0, 1e-5 * REMEMBERED, 0.0)
+    crept = (0.0, 1e-5 * MANY, 0.0)
     until(lambda: np.allclose(camera.position - began, crept, atol=5e-4), 'it stays behind')
 
 
 def test_a_name_of_any_length_stays_in_the_panel(opened, page):
     name = 'x' * 500
-    done(page, lambda: setattr(page._picking, '_answered', name))
+    done(page, lambda: setattr(page.picking, 'answered', name))
     until(lambda: name in text_of(opened), 'not told')
     found = """
         const all = [...document.querySelectorAll('div')]

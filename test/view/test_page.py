@@ -7,10 +7,9 @@ import pytest
 
 pytest.importorskip('viser', reason='viser is not installed')
 
+from view import pages
+
 from bvh_ros.scene import NodeScene, Shapes
-from bvh_ros.view.page import Page
-from bvh_ros.view.stage import LocalServer
-from bvh_ros.view.worlds import ShownWorld
 
 
 @pytest.fixture
@@ -19,11 +18,10 @@ def page():
     scene = NodeScene()
     places = np.array([(0.0, -5.0, 1.0), (0.0, 2.0, 1.0), (0.0, 5.0, 1.0)])
     scene.update('us', ['a/1', 'b/1', 'a/2'], Shapes.boxes(places, 1.0), stamp=0)
-    server = LocalServer('127.0.0.1', 8400)
-    shown = Page(server, ShownWorld('three', scene))
+    shown = pages.page_of('three', scene, 8400)
     shown.show()
     yield shown
-    server.stop()
+    shown.server.stop()
 
 
 def test_it_asks_with_a_segment_through_the_middle_lengthwise(page):

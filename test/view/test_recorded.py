@@ -13,7 +13,7 @@ from rclpy.serialization import serialize_message
 from visualization_msgs.msg import Marker, MarkerArray
 
 from bvh_ros import scenarios
-from bvh_ros.view.recorded import Tracks, draw, open_recording
+from bvh_ros.view.recorded import draw, open_recording
 
 BALL_GOES = 9.0  # s
 
@@ -21,7 +21,7 @@ BALL_GOES = 9.0  # s
 @pytest.fixture
 def warehouse():
     """Paused, at its beginning."""
-    recording = Tracks('warehouse', list(scenarios.warehouse()))
+    recording = open_recording(None)
     recording.playing = False
     return recording
 

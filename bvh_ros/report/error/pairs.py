@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...scene import ShapeKind, Shapes
-from ...scene.distance.narrow_phase import gap_convex as distance_of
-from ...scene.distance.narrow_phase import near_pairs
+from ...scene.distance.narrow_phase import gap_convex, near_pairs
 from ...scene.shapes.shape import as_shapes, canonicalise, rotations, unit_quaternions
 from ..libraries import collision_objects
 from ..page import Cell, Page
@@ -109,7 +108,7 @@ def our_answers(shapes: Shapes) -> Answers:
     touching, distances, points = np.empty(count, np.bool_), np.empty(count), np.empty((2, 3))
     near_pairs(records, None, np.arange(2 * count).reshape(-1, 2), False, touching)
     for i in range(count):
-        distances[i] = distance_of(records[2 * i], None, records[2 * i + 1], None, False, points)
+        distances[i] = gap_convex(records[2 * i], None, records[2 * i + 1], None, False, points)
     return Answers(touching, distances)
 
 

@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from visualization_msgs.msg import MarkerArray
 
-from bvh_ros.ros.cdr import definitions
-from bvh_ros.ros.cdr import marker_array as decoder
+from bvh_ros.ros.cdr import definitions, marker_array
 from bvh_ros.ros.compile_jobs import Job
 from bvh_ros.ros.config.parameters import ConfigurationError
 from bvh_ros.ros.conversions import markers
@@ -33,7 +32,7 @@ class MarkerArraySource(Source):
         super().__init__(*args)
         self._files: MeshFiles | None = None
         self._lists: dict[str, int] = {}  # list markers, and how many elements each has at most
-        if other := definitions.difference(MarkerArray, decoder.DEFINITION):
+        if other := definitions.difference(MarkerArray, marker_array.DEFINITION):
             raise ConfigurationError(
                 f"source '{self.name}': {other} is defined here otherwise than in ROS 2 Jazzy"
             )
@@ -41,7 +40,7 @@ class MarkerArraySource(Source):
 
     def to_compile(self) -> Iterable[Job]:
         """Return the decoder."""
-        decode = partial(decoder.read, decoder.EMPTY)
+        decode = partial(marker_array.read, marker_array.EMPTY)
         return [Job('decode markers', 'decode markers', 2.0, decode, early=True)]
 
     def apply(self, message: Any, now: int) -> Applying:
@@ -53,7 +52,7 @@ class MarkerArraySource(Source):
                 self._files.loading = ''
 
     def _apply(self, message: Any, now: int) -> Applying:
-        columns = decoder.read(*message)
+        columns = marker_array.read(*message)
         change = yield from markers.change(
             columns,
             now=now,

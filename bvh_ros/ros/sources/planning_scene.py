@@ -11,8 +11,7 @@ from moveit_msgs.msg import PlanningScene
 
 from bvh_ros.ros.cdr.any_message import Columns, plan_of
 from bvh_ros.ros.compile_jobs import Job
-from bvh_ros.ros.conversions import collision_objects as objects
-from bvh_ros.ros.conversions import octomap
+from bvh_ros.ros.conversions import collision_objects, octomap
 from bvh_ros.ros.conversions.collision_objects import Body, CollisionObjects
 from bvh_ros.ros.sources.collision_object import OCTOMAP, BodiesSource, Changes
 from bvh_ros.ros.sources.octomap import to_compile
@@ -30,7 +29,7 @@ class PlanningSceneSource(BodiesSource):
 
     message_type = PlanningScene
     fields = (
-        *(f'{OBJECTS}.{field}' for field in objects.FIELDS),
+        *(f'{OBJECTS}.{field}' for field in collision_objects.FIELDS),
         *(f'{ATTACHED}.id', f'{ATTACHED}.operation'),
         *('world.octomap.header', 'world.octomap.origin'),
         *(f'{OCTREE}{field}' for field in octomap.FIELDS if field != 'header'),
@@ -63,7 +62,7 @@ class PlanningSceneSource(BodiesSource):
         in_world = set(columns.texts(f'{OBJECTS}.id'))
         operations = columns.numbers(f'{ATTACHED}.operation')[:, 0].tolist()
         for row, name in enumerate(columns.texts(f'{ATTACHED}.id')):
-            if operations[row] != objects.REMOVE:
+            if operations[row] != collision_objects.REMOVE:
                 changes.remove(name)
             elif name not in in_world:
                 reason = 'it leaves the robot, and the scene does not say where it is then'
@@ -81,7 +80,7 @@ class PlanningSceneSource(BodiesSource):
         (frame_id,) = columns.texts('world.octomap.header.frame_id')
         stamp = columns.stamps('world.octomap.header.stamp').item()
         try:
-            place = objects.place_of(columns.numbers('world.octomap.origin')[0])
+            place = collision_objects.place_of(columns.numbers('world.octomap.origin')[0])
             frame = self.frames.into_node(frame_id, stamp)
             parts = yield from octomap.boxes(
                 tree,

@@ -91,7 +91,7 @@ def room_to_build(count: int) -> Room:
     return Room(room[:places].view(np.float32), room[:places], room[places:])
 
 
-_spare: list[Room] = []  # one, unless it is in use
+spare: list[Room] = []  # one, unless it is in use
 
 
 def spare_room(count: int) -> Room:
@@ -102,7 +102,7 @@ def spare_room(count: int) -> Room:
     is half its time.
     """
     try:
-        room = _spare.pop()  # at once: no other thread has it, nor a signal handler
+        room = spare.pop()  # at once: no other thread has it, nor a signal handler
     except IndexError:
         return room_to_build(count)
     return room if count <= len(room.made) <= 2 * count else room_to_build(count)
@@ -111,7 +111,7 @@ def spare_room(count: int) -> Room:
 def leave_room(room: Room) -> None:
     """What `spare_room` gave is not used any more."""
     if room.items.nbytes <= KEPT:
-        _spare[:] = [room]
+        spare[:] = [room]
 
 
 # ---- a build

@@ -11,10 +11,11 @@ pytest.importorskip('rclpy', reason='rclpy is not installed', exc_type=ImportErr
 
 import rclpy
 from ros.patience import PATIENCE
+from scipy.spatial import Delaunay
 from scipy.spatial.transform import Rotation, Slerp
 
 from bvh_ros.client import FREE, UNANSWERED, BvhClient, BvhError
-from bvh_ros.ros.config import footprint
+from bvh_ros.ros.access import ConfigurationError
 from bvh_ros.scene import Scene, Shapes
 
 pytestmark = pytest.mark.slow
@@ -46,7 +47,13 @@ def client(world, ros_context):
     node.destroy_node()
 
 
-def test_ways_are_as_a_scene_sees_them(client):
+def parts_of(configure, corners):
+    """The shapes that make up a footprint."""
+    given = {'footprint': str(corners), 'footprint_height': HEIGHT}
+    return configure(given).settings.footprint
+
+
+def test_ways_are_as_a_scene_sees_them(client, configure):
     scene = Scene()
     names = [f'a/{i}' for i in range(COUNT)]
     scene.update('markers', names, Shapes.boxes(CENTRE, SIZE), stamp=1)
@@ -55,7 +62,7 @@ def test_ways_are_as_a_scene_sees_them(client):
     places[:, 2] *= 0.01
     turns = Rotation.from_euler('z', np.cumsum(RNG.normal(0.0, 0.4, (count, 1)), axis=0)).as_quat()
     hits = client.check_path(places, turns, between=True)
-    parts = footprint.of_polygon(str(CORNERS), HEIGHT, 1e9)
+    parts = parts_of(configure, CORNERS)
     assert len(parts) == 2
     touches = np.zeros(count, bool)
     first = np.full(count, np.inf)
@@ -148,13 +155,11 @@ def test_the_times_of_ways(start_node, messages):
     ],
 )
 def test_a_footprint_that_is_no_polygon(configure, given, why):
-    from bvh_ros.ros.access import ConfigurationError
-
     with pytest.raises(ConfigurationError, match=why):
         configure({'footprint_height': 1.0, **given})
 
 
-def test_convex_parts_make_up_a_polygon():
+def test_convex_parts_make_up_a_polygon(configure):
     rng = np.random.default_rng(3)
     for _ in range(40):
         count = int(rng.integers(4, 24))
@@ -165,13 +170,12 @@ def test_convex_parts_make_up_a_polygon():
         ]
         points = rng.uniform(-2.0, 2.0, (300, 2))
         inside = np.array([is_inside(corners, p) for p in points])
-        parts = footprint.convex_parts(corners)
-        covered = np.array([any(is_inside(part, p) for part in parts) for p in points])
+        covered = np.zeros(len(points), bool)
+        for part in parts_of(configure, corners):
+            (mesh,) = part.mesh
+            hull = Delaunay((mesh.vertices + mesh.centre)[:, :2])
+            covered |= hull.find_simplex(points) >= 0
         np.testing.assert_array_equal(inside, covered)
-        for part in parts:
-            shape = np.array(part)
-            ahead, behind = np.roll(shape, -1, axis=0) - shape, shape - np.roll(shape, 1, axis=0)
-            assert (behind[:, 0] * ahead[:, 1] - behind[:, 1] * ahead[:, 0] > 0.0).all()
 
 
 def is_inside(corners, point):

@@ -82,7 +82,7 @@ def test_the_demo_asks_first_what_is_ready(start, tmp_path, capsys):
     client = BvhClient(world.node, world.name, timeout=patience.PATIENCE)
 
     def ask_and_go_on():
-        demo._ask_first(world.node, client, time.monotonic())
+        demo.ask_first(world.node, client, time.monotonic())
         (tmp_path / 'go').touch()
 
     running.wait_until_ready(client, world.process, ask_and_go_on)

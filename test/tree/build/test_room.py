@@ -11,7 +11,7 @@ from bvh_ros.tree.build import building
 
 @pytest.fixture(autouse=True)
 def no_spare(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(building, '_spare', [])
+    monkeypatch.setattr(building, 'spare', [])
 
 
 def test_nobody_else_has_it() -> None:
@@ -30,7 +30,7 @@ def test_what_does_not_fit_is_not_taken(count: int) -> None:
 
 def test_large_room_is_given_back() -> None:
     building.leave_room(building.room_to_build(building.KEPT // 64))
-    assert building._spare == []
+    assert building.spare == []
 
 
 def test_trees_built_in_turns_in_the_same_room() -> None:

@@ -6,13 +6,10 @@ import json
 import shutil
 from pathlib import Path
 
-import llvmlite.binding as llvm
 import pytest
-from numba.core.registry import cpu_target
 from tree.compiler.alone import run_alone
 
 import bvh_ros
-from bvh_ros.tree.compiler import kernel_files
 
 PROBE = """
 from bvh_ros.tree.compiler.compiling import lean_kernel
@@ -108,23 +105,3 @@ def test_a_damaged_part_or_one_of_other_sources_is_compiled_again(call, tmp_path
     probe = tmp_path / 'bvh_ros' / 'tree' / 'probe.py'
     probe.write_text(PROBE.replace('SCALE = 2.0', 'SCALE = 3.0'))
     assert call('call', 'squares') == [82.0, ['power', 'shared']]
-
-
-def test_a_part_is_kept_that_only_names_an_address():
-    """As numba does of a function that is handed over, twice if it is handed over twice; one that
-    reads there is of one process.
-    """
-    word = '@numba.dynamic.globals.7f = global i64 5\n'
-    again = '@numba.dynamic.globals.7f.1 = global i64 5\n'
-    read = '%x = load i64, ptr @numba.dynamic.globals.7f{}\nret i64 %x'
-    for words, body, reads in (
-        (word, 'ret i64 1', False),
-        (word, read.format(''), True),
-        (word + again, 'ret i64 1', False),
-        (word + again, read.format('.1'), True),
-    ):
-        code = llvm.parse_assembly(f'{words}define i64 @part() {{ {body} }}').as_bitcode()
-        generator = cpu_target.target_context.codegen()
-        assert (
-            kernel_files.PartCode.of_bitcode(generator, 'part', code).has_dynamic_globals is reads
-        )

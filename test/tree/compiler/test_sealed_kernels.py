@@ -15,6 +15,7 @@ import llvmlite.binding as llvm
 import numpy as np
 import pytest
 from numba.core import config
+from numba.core.registry import cpu_target
 from tree.compiler.alone import run_alone
 
 from bvh_ros.tree import checks
@@ -133,6 +134,26 @@ def test_what_machine_code_was_made_from_is_not_kept(cache):
     assert [len(body) for body in bodies] == [1] * len(bodies)
     assert len(bodies) >= 2  # the kernel, and how Python calls it
     assert code
+
+
+def test_a_part_is_kept_that_only_names_an_address():
+    """As numba does of a function that is handed over, twice if it is handed over twice; one that
+    reads there is of one process.
+    """
+    word = '@numba.dynamic.globals.7f = global i64 5\n'
+    again = '@numba.dynamic.globals.7f.1 = global i64 5\n'
+    read = '%x = load i64, ptr @numba.dynamic.globals.7f{}\nret i64 %x'
+    for words, body, reads in (
+        (word, 'ret i64 1', False),
+        (word, read.format(''), True),
+        (word + again, 'ret i64 1', False),
+        (word + again, read.format('.1'), True),
+    ):
+        code = llvm.parse_assembly(f'{words}define i64 @part() {{ {body} }}').as_bitcode()
+        generator = cpu_target.target_context.codegen()
+        assert (
+            kernel_files.PartCode.of_bitcode(generator, 'part', code).has_dynamic_globals is reads
+        )
 
 
 def test_another_file_under_a_kernels_name_is_compiled_again(cache):
