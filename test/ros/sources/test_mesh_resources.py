@@ -23,10 +23,9 @@ from rclpy.serialization import serialize_message
 from visualization_msgs.msg import Marker, MarkerArray
 
 from bvh_ros.ros.access import ConfigurationError, SourceSettings, create_source
-from bvh_ros.ros.sources import mesh_resources
-from bvh_ros.ros.sources.mesh_resources import MeshFiles
 from bvh_ros.scene import AS_CONVEX, AS_SOLID, NodeScene, ShapeKind
 
+MOST_SECONDS = 'bvh_ros.ros.sources.mesh_resources.MOST_SECONDS'
 MESH_RESOURCE, DELETE = 10, 2
 ONE = np.ones(3)
 NOW = 10**12
@@ -89,10 +88,17 @@ def files(tmp_path_factory):
 
 
 @pytest.fixture
-def finder(files, monkeypatch):
+def finder(files, monkeypatch, configure):
     monkeypatch.setenv('AMENT_PREFIX_PATH', str(files / 'prefix'))
-    monkeypatch.setattr(mesh_resources, 'MOST_SECONDS', PATIENCE)
-    return MeshFiles([str(files / 'meshes')], 100, 50_000)
+    monkeypatch.setattr(MOST_SECONDS, PATIENCE)
+    return finder_in(configure, files / 'meshes')
+
+
+def finder_in(configure, folder):
+    """What sources of a node read mesh files by: at most 100 meshes, and 50 kB a file."""
+    limits = {'mesh_limit': 100, 'mesh_megabytes': 0.05}
+    (source,) = configure({'mesh_paths': [str(folder)], **limits}).world.sources
+    return source.mesh_files()
 
 
 def uri(root, name, start='file://'):
@@ -182,7 +188,7 @@ def test_a_file_without_a_mesh_is_read_once(finder, files, name, reason, monkeyp
     for _ in range(2):
         with pytest.raises(ValueError, match=reason):
             ended(finder.mesh('uri', file, ONE, AS_CONVEX, planar=False))
-        monkeypatch.setattr(mesh_resources, '_read', None)  # it is not read again
+        monkeypatch.setattr('bvh_ros.ros.sources.mesh_resources._read', None)  # not again
 
 
 def test_meshes_are_shared_and_read_again_when_the_file_changes(finder, files):
@@ -201,7 +207,7 @@ def test_meshes_are_shared_and_read_again_when_the_file_changes(finder, files):
     assert np.allclose(mesh().size, (1, 2, 3))
 
 
-def test_a_folder_that_becomes_a_link_is_not_followed(finder, files):
+def test_a_folder_that_becomes_a_link_is_not_followed(finder, files, configure):
     """Between the look and the reading."""
     write(files, 'meshes/moves/a.stl', stl(TETRAHEDRON))
     write(files, 'away/a.stl', stl(TETRAHEDRON))
@@ -212,14 +218,14 @@ def test_a_folder_that_becomes_a_link_is_not_followed(finder, files):
         ended(finder.mesh('uri', file, ONE, AS_CONVEX, planar=False))
     (files / 'meshes/moves').unlink()
     (files / 'meshes/moves').symlink_to('../away')
-    away = MeshFiles([str(files / 'away')], 100, 50_000).find(f'file://{files}/away/a.stl')
+    away = finder_in(configure, files / 'away').find(f'file://{files}/away/a.stl')
     other = file._replace(version=away.version)
     with pytest.raises(ValueError, match='changed while'):
         ended(finder.mesh('uri', other, ONE, AS_CONVEX, planar=False))
 
 
 def test_a_reader_that_takes_too_long_is_killed(finder, files, monkeypatch):
-    monkeypatch.setattr(mesh_resources, 'MOST_SECONDS', 0.01)
+    monkeypatch.setattr(MOST_SECONDS, 0.01)
     file = finder.find(f'file://{files}/meshes/inner/a.stl')
     with pytest.raises(ValueError, match=r'takes longer than 0\.01 s'):
         ended(finder.mesh('uri', file, ONE, AS_CONVEX, planar=False))

@@ -8,14 +8,14 @@ import ctypes
 import mmap
 import subprocess
 import sys
+from unittest.mock import patch
 
 import numpy as np
 import numpy.ma  # before its `empty` is another one
 import pytest
 
 from bvh_ros import DynamicBVH
-from bvh_ros.tree.batch import snapshot as wide
-from bvh_ros.tree.batch import streams as ray_streams
+from bvh_ros.tree.access import make_scratch, take_snapshot
 
 PAGE = mmap.PAGESIZE
 
@@ -68,22 +68,21 @@ def ask_everything(ndim: int, boxes: int, rays: int, decade: int) -> None:
 
 
 def run() -> None:
-    ray_streams_made, snapshot_taken = ray_streams.make_scratch, wide.take_snapshot
-    from bvh_ros.tree.query import ray_queries as ray_batches
-
-    ray_batches.scratch_for = lambda *sizes: guarded_parts(ray_streams_made(*sizes))
+    def scratch(*sizes):
+        return guarded_parts(make_scratch(*sizes))
 
     def take(*arguments):
-        taken = snapshot_taken(*arguments)
+        taken = take_snapshot(*arguments)
         return taken if taken is None else guarded_parts(taken)
 
-    wide.take_snapshot = take
+    patch('bvh_ros.tree.query.ray_queries.scratch_for', scratch).start()
+    patch('bvh_ros.tree.store.arrays.take_snapshot', take).start()
     for ndim in (2, 3):  # kernels are compiled with the `empty` that they know
         ask_everything(ndim, 40, 200, 0)
     np.empty = guarded
     for ndim in (2, 3):
         for few_rays in (0, 1000):
-            ray_batches.FEW_RAYS = few_rays
+            patch('bvh_ros.tree.query.ray_queries.FEW_RAYS', few_rays).start()
             for boxes, rays in ((2, 64), (17, 65), (40, 200)):
                 for decade in (-300, -150, -20, 0, 17, 20, 38, 100, 160, 300):
                     ask_everything(ndim, boxes, rays, decade)
