@@ -10,19 +10,27 @@ import pytest
 
 pytest.importorskip('matplotlib')
 
-from bvh_ros.report import cli
-from bvh_ros.report.page import Page
-
 pytestmark = pytest.mark.slow
 
+PARTS = 'error', 'features', 'peers', 'planner', 'speed', 'stability'
+REPORT = 'import sys; from bvh_ros.commands import bvh_report; sys.exit(bvh_report())'
 
-@pytest.fixture(scope='module', params=sorted(cli.PARTS))
+
+def report(*arguments, code=0):
+    """Run `bvh_report` and return its errors.
+
+    Apart: it begins ROS by itself, which other tests may have begun here.
+    """
+    command = [sys.executable, '-c', REPORT, *map(str, arguments)]
+    ended = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert ended.returncode == code, ended.stderr
+    return ended.stderr
+
+
+@pytest.fixture(scope='module', params=PARTS)
 def written(request, tmp_path_factory):
     folder = tmp_path_factory.mktemp(request.param)
-    arguments = [request.param, '--quick', '--out', str(folder)]
-    # Apart: it begins ROS by itself, which other tests may have begun here.
-    program = f'from bvh_ros.report import cli; cli.main({arguments})'
-    subprocess.run([sys.executable, '-c', program], check=True)
+    report(request.param, '--quick', '--out', folder)
     return folder
 
 
@@ -45,25 +53,25 @@ def test_tables_are_rectangular_and_filled(written):
 
 
 def test_parts_of_several_runs_share_a_page(tmp_path):
+    pages = []
     for part in ('stability', 'planner', 'stability'):
-        page = Page(tmp_path)
-        page.begin(part.title(), 'Text.')
-        page.add(f'### More of {part}')
-        page.write()
-    text = (tmp_path / 'report.md').read_text(encoding='utf-8')
-    headings = [line for line in text.splitlines() if line.startswith('#')]
-    assert headings == [
-        '# bvh_ros: report', '## Planner', '### More of planner', '## Stability',
-        '### More of stability',
-    ]  # fmt: skip
+        report(part, '--quick', '--out', tmp_path)
+        lines = (tmp_path / 'report.md').read_text(encoding='utf-8').splitlines()
+        pages.append([line for line in lines if line.startswith('#')])
+    (title, *stability), (_, *both), again = pages
+    assert title == '# bvh_ros: report'
+    assert stability[0] == '## Stability'
+    assert both[0] == '## Planner'
+    assert both[-len(stability) :] == stability
+    assert len(both) > 1 + len(stability)
+    assert again == [title, *both]
 
 
 def test_an_unknown_part_is_refused(tmp_path):
-    with pytest.raises(SystemExit):
-        cli.main(['guess', '--out', str(tmp_path)])
+    usage = report('guess', '--out', tmp_path, code=2)
+    assert f'{{{",".join((*PARTS, "all"))}}}' in usage
 
 
-def test_a_folder_of_recordings_must_be_there(tmp_path, capsys):
-    with pytest.raises(SystemExit):
-        cli.main(['error', '--data', str(tmp_path / 'nowhere')])
-    assert f'--data {tmp_path}/nowhere: there is no such folder' in capsys.readouterr().err
+def test_a_folder_of_recordings_must_be_there(tmp_path):
+    said = report('error', '--data', tmp_path / 'nowhere', code=2)
+    assert f'--data {tmp_path}/nowhere: there is no such folder' in said
