@@ -7,8 +7,15 @@ from pathlib import Path
 
 import bvh_ros
 
-PACKAGE = Path(bvh_ros.__file__).parent
+PACKAGE, TESTS = Path(bvh_ros.__file__).parent, Path(__file__).parent
 DOORS = 'tree', 'tree.access', 'tree.motion.access', 'tree.compiler'
+# Files by which other rooms, examples and tests use a room, beside what the room itself offers.
+OPEN = {
+    *(*DOORS, 'tree.compiler.kernel_cache', 'tree.compiler.shipped', 'scene.tracking'),
+    *('ros.access', 'ros.running', 'ros.large_messages', 'ros.compilation', 'ros.compile_jobs'),
+    *('view.worlds', 'view.recorded'),
+}
+MOST_PRIVATE = 40  # files of tests: of exact arithmetic, kernels, decoders, layouts in memory
 # They measure the inside of the tree: they replace parts of kernels, or count kernels.
 INSIDERS = {f'report/{name}.py' for name in ('error/methods', 'speed', 'compiled_kernels')}
 
@@ -50,8 +57,20 @@ def test_the_tree_is_imported_through_its_doors():
         assert not offered_by(door) - used
 
 
+def test_few_tests_look_behind_the_doors():
+    private = set()
+    for path in TESTS.rglob('*.py'):
+        for module, name in imports(path):
+            inner = f'{module}.{name}'.strip('.')
+            place = PACKAGE / inner.replace('.', '/')
+            asked = inner if place.is_dir() or place.with_suffix('.py').is_file() else module
+            if '.' in asked and asked not in OPEN:
+                private.add(path.relative_to(TESTS).as_posix())
+    assert len(private) <= MOST_PRIVATE, sorted(private)
+
+
 def test_what_the_node_offers_is_used():
     door, used = 'ros.access', set()
-    for path in (*PACKAGE.rglob('*.py'), *Path(__file__).parent.rglob('*.py')):
+    for path in (*PACKAGE.rglob('*.py'), *TESTS.rglob('*.py')):
         used |= {(module, name) for module, name in imports(path) if module == door}
     assert not offered_by(door) - used
