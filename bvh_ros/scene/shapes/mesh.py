@@ -235,32 +235,88 @@ class Closed(NamedTuple):
     used: Integers  # (k,) rows of the points
     corners: Integers  # (m, 3) rows of those
     row: Integers  # (m,) which of the given triangles they are
-    edges: Integers  # (e, 2)
 
 
-def convex_surface(triangles: Floats, once: tuple[Integers, Integers] | None = None) -> Surface:
-    """The surface of finite triangles (m, 3, 3); ValueError, saying why, if it is not closed and
-    convex. `once`: `coinciding` corners, if they are known.
-    """
-    given = triangles.reshape(-1, 3)
-    lo, hi = given.min(axis=0), given.max(axis=0)
-    extent, largest = float((hi - lo).max()), float(np.maximum(-lo, hi).max())
-    if largest == 0.0 or extent == 0.0:
+class Linked:
+    """Triangles, rows (m, 3) of points, and which of them meet."""
+
+    def __init__(self, corners: Integers) -> None:
+        self.corners = corners
+
+    def moved(self, becomes: Integers) -> 'Linked':
+        """The same when each point becomes another."""
+        if (becomes == np.arange(len(becomes))).all():
+            return self
+        return Linked(becomes.take(self.corners))
+
+    def part(self, rows: Integers) -> 'Linked':
+        """Some of them, in their order."""
+        return self if len(rows) == len(self.corners) else Linked(self.corners[rows])
+
+    @LazyProperty
+    def sets(self) -> Integers:
+        """(m, 3) the corners in ascending order."""
+        return np.sort(self.corners, axis=1)
+
+    @LazyProperty
+    def first(self) -> Integers:
+        """(m,) the first triangle with the same three corners."""
+        return _first_alike(self.sets, int(self.corners.max()) + 1)
+
+    @LazyProperty
+    def at_edges(self) -> Integers:
+        """(3 m,) how many triangles meet at each edge of each; 0 if its ends coincide."""
+        one, two = self.corners.ravel(), self.corners[:, [1, 2, 0]].ravel()
+        low, high = np.minimum(one, two), np.maximum(one, two)
+        order, begins = _runs(low * (int(high.max()) + 1) + high)
+        times = np.diff(begins, append=len(order))
+        count = np.empty(len(order), np.int64)
+        count[order] = np.repeat(times, times)
+        count[low == high] = 0
+        return count
+
+
+class Given:
+    """Finite triangles as they are given: rows (m, 3) of places (n, 3), all of which are used."""
+
+    def __init__(self, places: Floats, rows: Integers) -> None:
+        places = places + 0.0  # of zeros one sign
+        first, number = different(places)
+        self.points: Floats = places.take(first, axis=0)
+        """(k, 3), each once."""
+        self.linked = Linked(number.take(rows))
+        """Rows of these."""
+        lo, hi = self.points.min(axis=0), self.points.max(axis=0)
+        self.middle: Floats = lo * 0.5 + hi * 0.5
+        self.extent, self.largest = float((hi - lo).max()), float(np.maximum(-lo, hi).max())
+
+    @property
+    def noise(self) -> float:
+        """How far corners may have been moved. They were rounded where they are if they are
+        float32 still, else next to their own origin.
+        """
+        with np.errstate(over='ignore', under='ignore'):
+            single = np.array_equal(self.points.astype(np.float32), self.points)
+        return NOISE * max(self.extent, self.largest if single else 0.0)
+
+
+def convex_surface(given: Given) -> Surface:
+    """The surface of triangles; ValueError, saying why, if it is not closed and convex."""
+    extent = given.extent
+    if given.largest == 0.0 or extent == 0.0:
         raise ValueError('the mesh has no triangle with an area')
-    if extent < SMALLEST or largest > LARGEST:
+    if extent < SMALLEST or given.largest > LARGEST:
         raise ValueError('the mesh is too small or too large')
-    first, number = once or coinciding(given)
-    places, corners = given[first], number.reshape(-1, 3)
     # About the middle, in a power of two: nothing over- or underflows, and little is rounded.
     exponent = math.frexp(extent)[1]
-    points = np.ldexp(places - (lo * 0.5 + hi * 0.5), -exponent)
-    noise = math.ldexp(_noise(given, extent, largest), -exponent)
-    _require_thickness(points, corners, noise)
+    points = (given.points - given.middle) * math.ldexp(1.0, -exponent)
+    noise = math.ldexp(given.noise, -exponent)
+    _require_thickness(points, given.linked.corners, noise)
     try:
-        closed = _closed(corners, weld(points, 0.5 * noise))
+        closed = _closed(given.linked.moved(weld(points, 0.5 * noise)))
     except ValueError as reason:
         try:  # a part finer than the noise may fold where it is welded
-            closed = _closed(corners, np.arange(len(points)))
+            closed = _closed(given.linked)
         except ValueError:
             raise reason from None
     vertices, rows = points[closed.used], closed.corners
@@ -278,49 +334,52 @@ def convex_surface(triangles: Floats, once: tuple[Integers, Integers] | None = N
                 f'{depth:.3g} m within the hull of all corners, and {allowed:.3g} m are allowed'
             )
         normals[sliver] = lies.normals[sliver]
-    if not goes_around(vertices[rows] - middle, heights):
+    if not goes_around(vertices.take(rows, axis=0) - middle, heights):
         raise ValueError('the mesh is not the surface of one convex solid')
-    return Surface(places[closed.used], rows, closed.row, normals)
+    return Surface(given.points[closed.used], rows, closed.row, normals)
 
 
-def _noise(points: Floats, extent: float, largest: float) -> float:
-    """How far corners may have been moved. They were rounded where they are if they are float32
-    still, else next to their own origin.
+SPREAD = 0x1E3779B97F4A7C15  # an odd number that spreads the bits of what it multiplies
+
+
+def _runs(numbers: Integers) -> tuple[Integers, Integers]:
+    """Rows of numbers (n,) in ascending order, equal ones by rows; where each run of equal ones
+    begins there.
     """
-    with np.errstate(over='ignore', under='ignore'):
-        single = np.array_equal(points.astype(np.float32), points)
-    return NOISE * max(extent, largest if single else 0.0)
+    order = np.argsort(numbers, kind='stable')  # which is fast where some are in order already
+    ascending = numbers.take(order)
+    return order, np.flatnonzero(np.r_[True, ascending[1:] != ascending[:-1]])
 
 
-HASH = np.array([0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9], np.uint64).view(
-    np.int64
-)
+def _first_alike(rows: Integers, base: int) -> Integers:
+    """The first row (n,) that is the same as each of some rows (n, 3)."""
+    one, two, three = rows.T
+    order, begins = _runs((one * base + two) * base + three)
+    first = np.empty(len(rows), np.int64)
+    first[order] = np.repeat(order[begins], np.diff(begins, append=len(order)))
+    if np.array_equal(rows.take(first, axis=0), rows):
+        return first
+    # Different rows have one number by chance.
+    _, begin, which = np.unique(rows, axis=0, return_index=True, return_inverse=True)
+    return begin[which.reshape(-1)]
 
 
-def coinciding(points: Floats, tolerance: float = 0.0) -> tuple[Integers, Integers]:
-    """Chains of points (n, 3) with no wider gap on any axis: the first of each, and (n,) which
-    chain each point belongs to. Without a tolerance these are the different points.
+def different(points: Floats) -> tuple[Integers, Integers]:
+    """The different ones of points (n, 3) without -0.0, by x, y and z: the first of each, and (n,)
+    which of these each point is.
     """
-    if tolerance == 0.0 and len(points) > 1:
-        # Each once first, told apart by a hash: most corners of a mesh are those of six triangles.
-        bits = (points + 0.0).view(np.int64)  # of -0.0 those of 0.0
-        _, first, same = np.unique(
-            (bits * HASH).sum(axis=1), return_index=True, return_inverse=True
-        )
-        same = same.reshape(-1)
-        if len(first) < len(points) and np.array_equal(points[first][same], points):
-            order, number = coinciding(points[first])
-            return first[order], number[same]
-    number, count = np.zeros(len(points), np.int64), 0
-    while True:
-        for axis in range(3):
-            order = np.lexsort((points[:, axis], number))
-            apart = np.diff(points[order, axis], prepend=-np.inf) > tolerance
-            apart |= np.diff(number[order], prepend=-1) != 0
-            number[order] = np.cumsum(apart) - 1
-        if tolerance == 0.0 or number.max() + 1 == count:
-            return np.unique(number, return_index=True)[1], number
-        count = int(number.max()) + 1  # a gap on one axis may have parted a chain on another
+    # Told apart by their bits: most corners of a mesh are those of six triangles.
+    bits = points.view(np.uint64)
+    bits = bits ^ (bits >> np.uint64(32))  # numbers that were float32 end in zeros
+    same = _first_alike(bits.view(np.int64), SPREAD)
+    first = np.flatnonzero(same == np.arange(len(points)))
+    first = first[np.argsort(points[first, 0], kind='stable')]
+    alike = np.diff(points[first, 0]) == 0.0
+    tied = np.flatnonzero(np.r_[False, alike] | np.r_[alike, False])
+    first[tied] = first[tied][np.lexsort(points[first[tied]].T[::-1])]
+    number = np.empty(len(points), np.int64)
+    number[first] = np.arange(len(first))
+    return first, number.take(same)
 
 
 def weld(points: Floats, tolerance: float) -> Integers:
@@ -328,71 +387,72 @@ def weld(points: Floats, tolerance: float) -> Integers:
     the tolerance of each other on every axis. A chain that is longer is a fine part of the
     surface, and stays as it is.
     """
-    first, number = coinciding(points, tolerance)
-    order = np.argsort(number, kind='stable')
-    begins = np.searchsorted(number[order], np.arange(len(first)))
-    longest = np.max(
-        np.maximum.reduceat(points[order], begins) - np.minimum.reduceat(points[order], begins),
-        axis=1,
-    )
-    return np.where(longest[number] <= tolerance, first[number], np.arange(len(points)))
+    becomes = np.arange(len(points))
+    # Chains of points with no wider gap on any axis; what is alone is left out.
+    rows, chain = becomes, np.zeros(len(points), np.int64)
+    axis, unbroken = 0, 0
+    while len(rows) and unbroken < 3:  # a gap on one axis may have parted a chain on another
+        order = np.lexsort((points[rows, axis], chain))
+        rows, chain = rows[order], chain[order]
+        gap = (np.diff(points[rows, axis]) > tolerance) & (np.diff(chain) == 0)
+        chain[1:] += np.cumsum(gap)
+        linked = np.diff(chain) == 0
+        several = np.r_[False, linked] | np.r_[linked, False]
+        rows, chain = rows[several], chain[several]
+        axis, unbroken = (axis + 1) % 3, 0 if gap.any() else unbroken + 1
+    if len(rows):
+        begins = np.flatnonzero(np.diff(chain, prepend=-1))
+        places, count = points[rows], np.diff(begins, append=len(rows))
+        spread = np.maximum.reduceat(places, begins) - np.minimum.reduceat(places, begins)
+        near = np.repeat(spread.max(axis=1) <= tolerance, count)
+        becomes[rows[near]] = np.repeat(np.minimum.reduceat(rows, begins), count)[near]
+    return becomes
 
 
-def _closed(corners: Integers, becomes: Integers) -> Closed:
-    """Triangles when each point becomes another; ValueError if they are not closed."""
-    used, number = np.unique(becomes[corners], return_inverse=True)
-    number = number.reshape(-1, 3)
-    rows, row = _without_repeats(number)
-    stray = np.ones(len(used), np.bool_)
-    stray[rows] = False
-    if stray.any():
-        bad = int(np.argmax(stray[number].any(axis=1)))
-        raise ValueError(f'triangle {bad} has no area, and is no part of the surface')
-    edges = _edges(rows, row)
-    if len(used) - len(edges) + len(rows) != 2:  # Euler: one surface without holes
-        raise ValueError('the mesh is not the surface of one convex solid')
-    return Closed(used, rows, row, edges)
-
-
-def _without_repeats(corners: Integers) -> tuple[Integers, Integers]:
-    """Triangles with three different corners, each once, and their rows.
+def _closed(linked: Linked) -> Closed:
+    """Those with three different corners, each once; ValueError if they are not closed.
 
     One whose corners coincide is an edge: its neighbours meet there without it.
     """
-    ordered = np.sort(corners, axis=1)
-    row = np.flatnonzero((np.diff(ordered, axis=1) > 0).all(axis=1))
-    if not len(row):
+    low, middle, high = linked.sets.T
+    real = (low < middle) & (middle < high)
+    if not real.any():
         raise ValueError('the mesh has no triangle with an area')
-    row = row[np.sort(np.unique(_one_number(ordered[row]), return_index=True)[1])]
-    return corners[row], row
-
-
-def _one_number(rows: Integers) -> Integers:
-    """A number for each row, the same for equal rows."""
-    number = rows[:, 0]
-    for column in range(1, rows.shape[1]):
-        number = np.unique(number * (rows.max() + 1) + rows[:, column], return_inverse=True)[1]
-    return number.reshape(-1)
-
-
-def _edges(corners: Integers, row: Integers) -> Integers:
-    """Edges (e, 2); ValueError if there are not two triangles at each."""
-    ends = np.sort(corners[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
-    number = ends[:, 0] * (int(ends.max()) + 1) + ends[:, 1]
-    _, first, which, count = np.unique(
-        number, return_index=True, return_inverse=True, return_counts=True
-    )
+    row = np.flatnonzero(real & (linked.first == np.arange(len(real))))
+    surface = linked.part(row)
+    used, corners = _used(surface.corners)
+    stray = ~np.isin(linked.corners, used) if surface is not linked else np.array(False)
+    if stray.any():
+        bad = int(np.argmax(stray.any(axis=1)))
+        raise ValueError(f'triangle {bad} has no area, and is no part of the surface')
+    count = surface.at_edges
     if (count != 2).any():
-        bad = int(np.flatnonzero(count[which] != 2)[0])
+        bad = int(np.argmax(count != 2))
         raise ValueError(
             f'the mesh is not closed: an edge of triangle {int(row[bad // 3])} belongs to '
-            f'{int(count[which[bad]])} triangles, not two'
+            f'{int(count[bad])} triangles, not two'
         )
-    return ends[first]
+    if 2 * len(used) - len(row) != 4:  # Euler: one surface without holes
+        raise ValueError('the mesh is not the surface of one convex solid')
+    return Closed(used, corners, row)
+
+
+def _used(corners: Integers) -> tuple[Integers, Integers]:
+    """Which points (k,) triangles have for corners; and the triangles (m, 3) as rows of these."""
+    there = np.zeros(int(corners.max()) + 1, np.bool_)
+    there[corners.ravel()] = True
+    number = np.cumsum(there) - 1
+    return np.flatnonzero(there), number.take(corners)
+
+
+def _columns(points: Floats, corners: Integers) -> tuple[Floats, Floats, Floats]:
+    """The three corners (m, 3) of triangles, rows (m, 3) of points."""
+    one, two, three = (points.take(rows, axis=0) for rows in corners.T)
+    return one, two, three
 
 
 def _require_thickness(points: Floats, corners: Integers, noise: float) -> None:
-    one, two, three = (points[corners[:, k]] for k in range(3))
+    one, two, three = _columns(points, corners)
     normals = np.cross(two - one, three - one)
     largest = normals[np.argmax(np.einsum('ni,ni->n', normals, normals))]
     length = np.linalg.norm(largest)
@@ -404,7 +464,7 @@ def _planes(vertices: Floats, corners: Integers) -> tuple[Floats, Floats, Floats
     """Unit normals (m, 3) of the triangles, outwards; (m,) their heights over their longest edges;
     and the middle of the surface.
     """
-    one, two, three = (vertices[corners[:, k]] for k in range(3))
+    one, two, three = _columns(vertices, corners)
     normals = np.cross(two - one, three - one)
     area = np.linalg.norm(normals, axis=1)
     sides = (two - one, three - two, one - three)
@@ -527,14 +587,21 @@ def arranged(places: Floats) -> NDArray[np.int64]:
     """The rows of vertices (k, 3) so that neighbours follow each other: halves of halves, each cut
     across its longest side.
     """
-    order = np.arange(len(places))
-    for half in range(3 * levels(len(places))):
-        starts = _starts(len(places), 1 << half)
-        sides = np.maximum.reduceat(places[order], starts) - np.minimum.reduceat(
-            places[order], starts
+    count, order = len(places), np.arange(len(places))
+    columns = np.ascontiguousarray(places.T)
+    for half in range(3 * levels(count)):
+        starts = _starts(count, 1 << half)
+        counts = np.diff(starts, append=count)
+        here = columns.take(order, axis=1)
+        sides = np.maximum.reduceat(here, starts, axis=1) - np.minimum.reduceat(
+            here, starts, axis=1
         )
-        group = np.repeat(np.arange(len(starts)), np.diff(starts, append=len(places)))
-        order = order[np.lexsort((places[order, np.argmax(sides, axis=1)[group]], group))]
+        # Each group is sorted on its own, in a row of a table.
+        filled = np.arange(counts.max()) < counts[:, None]
+        along = np.full(filled.shape, np.inf)
+        axis = np.repeat(np.argmax(sides, axis=0), counts)
+        along[filled] = here[axis, np.arange(count)]
+        order = order.take((np.argsort(along, axis=1, kind='stable') + starts[:, None])[filled])
     return order
 
 
@@ -651,106 +718,86 @@ NO_REACHES = np.empty((0, CORNERS, CORNERS, 2))
 CONVEX, SOLID, SHELL = range(3)  # forms of a mesh
 
 
-def any_surface(
-    triangles: Floats, solid: bool, once: tuple[Integers, Integers]
-) -> tuple[Surface, bool]:
-    """(the triangles (m, 3, 3) that have an area, whether all of them are closed); ValueError if
-    they have to be closed, as they are `solid`, and are not. `once`: their `coinciding` corners.
+def any_surface(given: Given, solid: bool) -> tuple[Surface, bool]:
+    """(the triangles that have an area, whether all of them are closed); ValueError if they have
+    to be closed, as they are `solid`, and are not.
     """
-    given = triangles.reshape(-1, 3)
-    lo, hi = given.min(axis=0), given.max(axis=0)
-    extent, largest = float((hi - lo).max()), float(np.maximum(-lo, hi).max())
-    if extent == 0.0:
+    if given.extent == 0.0:
         raise ValueError('the mesh has no triangle with an area')
-    if not (extent > SMALLEST_SURFACE and largest < LARGEST_SURFACE):
+    if not (given.extent > SMALLEST_SURFACE and given.largest < LARGEST_SURFACE):
         raise ValueError(
             'the mesh is too small or too large: unless it is convex, it must be larger than '
             f'{SMALLEST_SURFACE} m, and lie within {LARGEST_SURFACE} m'
         )
-    first, number = once
-    points, corners = given[first], number.reshape(-1, 3)
-    one_side = _one_side(corners)
-    corners = corners[one_side]
-    odd = _odd_edges(corners)
+    one_side = _one_side(given.linked)
+    linked = given.linked.part(one_side)
+    odd = np.flatnonzero(linked.at_edges % 2)
     if len(odd):
         # As exporters round corners, see above.
-        welded = weld(points, 0.5 * _noise(given, extent, largest))[corners]
-        if not len(_odd_edges(welded)):
-            corners, odd = welded, odd[:0]
+        welded = linked.moved(weld(given.points, 0.5 * given.noise))
+        if not (welded.at_edges % 2).any():
+            linked, odd = welded, odd[:0]
     if len(odd) and solid:
         raise ValueError(
             'a solid mesh must be closed: an odd number of triangles meets at an edge of '
-            f'triangle {int(one_side[odd[0]])}'
+            f'triangle {int(one_side[odd[0] // 3])}'
         )
-    rows = np.flatnonzero(_have_area(points[corners]))
+    rows = np.flatnonzero(_have_area(given.points, linked.corners))
     if not len(rows):
         raise ValueError('the mesh has no triangle with an area')
-    used, number = np.unique(corners[rows], return_inverse=True)
-    corners = number.reshape(-1, 3)
-    vertices = points[used]
-    one, two, three = (vertices[corners[:, k]] / extent for k in range(3))
+    used, corners = _used(linked.corners[rows])
+    vertices = given.points[used]
+    one, two, three = _columns(vertices / given.extent, corners)
     normals = np.cross(two - one, three - one)  # as they are wound
     length = np.linalg.norm(normals, axis=1, keepdims=True)
     normals /= np.where(length > 0.0, length, 1.0)
     return Surface(vertices, corners, one_side[rows], normals), not len(odd)
 
 
-def _one_side(corners: Integers) -> Integers:
+def _one_side(linked: Linked) -> Integers:
     """Rows of all triangles; of the first of each, if each is there an even number of times."""
-    sets = np.sort(corners, axis=1)
-    order = np.lexsort(sets.T)  # equal ones by rows
-    begins = np.flatnonzero(np.any(np.diff(sets[order], axis=0, prepend=-1), axis=1))
-    if (np.diff(begins, append=len(corners)) % 2).any():
-        return np.arange(len(corners))
-    return np.sort(order[begins])
+    everyone = np.arange(len(linked.corners))
+    if (np.bincount(linked.first) % 2).any():
+        return everyone
+    return np.flatnonzero(linked.first == everyone)
 
 
-def _odd_edges(corners: Integers) -> Integers:
-    """Rows of triangles with an edge at which an odd number of them meets."""
-    ends = np.sort(corners[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
-    row = np.repeat(np.arange(len(corners)), 3)
-    real = ends[:, 0] != ends[:, 1]
-    ends, row = ends[real], row[real]
-    number = ends[:, 0] * (int(ends.max(initial=0)) + 1) + ends[:, 1]
-    _, which, count = np.unique(number, return_inverse=True, return_counts=True)
-    odd: Integers = row[count[which] % 2 == 1]
-    return odd
-
-
-def _have_area(places: Floats) -> NDArray[np.bool_]:
-    """Which triangles have an area, exactly: those that seem to have none are looked at in
-    rational numbers.
+def _have_area(points: Floats, corners: Integers) -> NDArray[np.bool_]:
+    """Which triangles, rows (m, 3) of points, have an area, exactly: those that seem to have none
+    are looked at in rational numbers.
     """
-    size = np.abs(places - places[:, :1]).max(axis=(1, 2))
-    exponent = np.frexp(size)[1][:, None]
-    one, two = (np.ldexp(places[:, k] - places[:, 0], -exponent) for k in (1, 2))
-    have = np.abs(np.cross(one, two)).max(axis=1) > DOUBTFUL
+    one, two, three = _columns(points, corners)
+    sides = two - one, three - one
+    size = np.max([np.abs(side).max(axis=1) for side in sides], axis=0)
+    have = np.abs(np.cross(*sides)).max(axis=1) > DOUBTFUL * size * size + TINY
     for row in np.flatnonzero(~have).tolist():
-        a, b, c = ([Fraction(x) for x in corner] for corner in places[row].tolist())
+        a, b, c = ([Fraction(x) for x in corner] for corner in points[corners[row]].tolist())
         p, q = ([x - y for x, y in zip(other, a, strict=True)] for other in (b, c))
         have[row] = any(p[i] * q[i - 1] != p[i - 1] * q[i] for i in range(3))
     return have
 
 
-DOUBTFUL = 2.0**-40  # of lengths about 1: a cross product below may be all rounding
+# A cross product below may be all rounding: a share of the longer length's square, and where that
+# leaves the range of doubles.
+DOUBTFUL, TINY = 2.0**-40, 2.0**-1000
 
 
-def _corners(value: ArrayLike) -> Floats:
-    """Triangles (m, 3, 3)."""
+def _each(value: ArrayLike) -> tuple[Floats, Integers]:
+    """Corners (3 m, 3) of triangles (m, 3, 3), and their rows (m, 3)."""
     wanted = 'triangles must have shape (m, 3, 3), or be vertices with faces, not'
     if isinstance(value, np.ndarray) and value.shape[1:] != (3, 3):
         raise ValueError(f'{wanted} {value.shape}')
     corners = checks.floats('triangles', value)
     if corners.ndim != 3 or corners.shape[1:] != (3, 3) or not len(corners):
         raise ValueError(f'{wanted} {corners.shape}')
-    return corners
+    return corners.reshape(-1, 3), np.arange(3 * len(corners)).reshape(-1, 3)
 
 
 MOST_VERTICES = 2**31 - 1  # a row of them is an int32
 
 
-def _indexed(vertices: ArrayLike, faces: ArrayLike) -> Floats:
-    """Triangles of vertices (k, 3) and their rows (m, 3)."""
+def _indexed(vertices: ArrayLike, faces: ArrayLike) -> tuple[Floats, Integers]:
+    """Those vertices (k, 3) that are used, and their rows (m, 3)."""
     wanted = 'triangles must be vertices of shape (k, 3) where there are faces, not'
     if isinstance(vertices, np.ndarray) and vertices.shape[1:] != (3,):
         raise ValueError(f'{wanted} {vertices.shape}')
@@ -768,13 +815,13 @@ def _indexed(vertices: ArrayLike, faces: ArrayLike) -> Floats:
         raise ValueError(f'faces must have shape (m, 3), not {rows.shape}')
     if rows.dtype.kind not in 'iu':
         raise ValueError(f'faces must be integers, not {rows.dtype}')
-    outside = ((rows < 0) | (rows >= len(places))).any(axis=1)
-    if outside.any():
-        bad = int(np.argmax(outside))
+    if rows.min() < 0 or rows.max() >= len(places):
+        bad = int(np.argmax(((rows < 0) | (rows >= len(places))).any(axis=1)))
         raise ValueError(
             f'faces must name rows of {len(places)} vertices: row {bad} is {rows[bad].tolist()}'
         )
-    return places[rows]
+    used, rows = _used(rows)
+    return places.take(used, axis=0), rows
 
 
 # ---- Meshes of any triangles.
@@ -860,29 +907,29 @@ class Mesh:
     ) -> None:
         if solid is not None and not isinstance(solid, (bool, np.bool_)):
             raise ValueError(f'solid must be True, False or None, not {checks.shown_short(solid)}')
-        corners = _corners(triangles) if faces is None else _indexed(triangles, faces)
-        finite = np.isfinite(corners).all(axis=(1, 2))
-        if not finite.all():
-            raise ValueError(f'triangle {int(np.argmin(finite))} is not finite')
+        places, rows = _each(triangles) if faces is None else _indexed(triangles, faces)
+        if not np.isfinite(places).all():
+            bad = int(np.argmin(np.isfinite(places[rows]).all(axis=(1, 2))))
+            raise ValueError(f'triangle {bad} is not finite')
         self.not_convex = 'it is a shell' if solid is False else ''
         """Why it is no convex solid; empty if it is one."""
         self.closed = True
         """Whether an even number of triangles meets at every edge."""
-        once = coinciding(corners.reshape(-1, 3))
+        given = Given(places, rows)
         try:
             if self.not_convex:
                 raise ValueError(self.not_convex)
-            surface = convex_surface(corners, once)
+            surface = convex_surface(given)
         except ValueError as reason:
             self.not_convex = str(reason)
-            surface, self.closed = any_surface(corners, bool(solid), once)
+            surface, self.closed = any_surface(given, bool(solid))
         self.convex = not self.not_convex
         """Whether it is the surface of one convex solid, and solid."""
         self.solid = self.closed and solid is not False
         """Whether the inside is occupied."""
         self.rows: NDArray[np.int32] = surface.rows.astype(np.int32)
         """(m,) rows of the triangles as given."""
-        self.dropped = len(corners) - len(self.rows)
+        self.dropped = len(rows) - len(self.rows)
         """How many of these had no area, or repeated others that count for them."""
         lo, hi = surface.vertices.min(axis=0), surface.vertices.max(axis=0)
         inside = bool((lo <= 0.0).all() and (hi >= 0.0).all())
@@ -893,13 +940,14 @@ class Mesh:
         self.size: Floats = hi - lo
         """(3,) edges of that box."""
         order = arranged(surface.vertices)
-        row = np.argsort(order)
+        row = np.empty(len(order), np.int32)
+        row[order] = np.arange(len(order))
         self.vertices: Floats = surface.vertices[order] - self.centre
         """(k, 3) seen from the centre, neighbours next to each other."""
         if not self.convex:
             tiny = np.abs(self.vertices) < NEGLIGIBLE * float(self.size.max())
             self.vertices[tiny] = 0.0
-        self.corners: NDArray[np.int32] = row[surface.corners].astype(np.int32)
+        self.corners: NDArray[np.int32] = row.take(surface.corners)
         """(m, 3) rows of `vertices`, one row a triangle."""
         self.normals: Floats = surface.normals
         """(m, 3) unit normals of the triangles, outwards if the mesh is convex."""
@@ -1052,9 +1100,8 @@ def flattened(places: Floats, corners: NDArray[np.int32]) -> tuple[Floats, NDArr
     with one corner twice; what lies along an edge of others is left out.
     """
     flat = places * (1.0, 1.0, 0.0) + 0.0  # of zeros one sign
-    first, number = coinciding(flat)
-    flat, rows = flat[first], np.sort(number[corners], axis=1)
-    rows = rows[np.unique(_one_number(rows), return_index=True)[1]]
+    first, number = different(flat)
+    flat, rows = flat[first], np.unique(np.sort(number[corners], axis=1), axis=0)
     upright = (np.diff(rows, axis=1) == 0).any(axis=1)
     segments, rows = rows[upright], rows[~upright]
     edges = rows[:, [0, 1, 1, 2, 0, 2]].reshape(-1, 2)
