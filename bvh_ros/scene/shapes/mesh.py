@@ -266,7 +266,7 @@ class Linked:
     @LazyProperty
     def at_edges(self) -> Integers:
         """(3 m,) how many triangles meet at each edge of each; 0 if its ends coincide."""
-        one, two = self.corners.ravel(), self.corners[:, [1, 2, 0]].ravel()
+        one, two = self.corners.ravel(), self.corners.take([1, 2, 0], axis=1).ravel()
         low, high = np.minimum(one, two), np.maximum(one, two)
         order, begins = _runs(low * (int(high.max()) + 1) + high)
         times = np.diff(begins, append=len(order))
@@ -286,7 +286,7 @@ class Given:
         """(k, 3), each once."""
         self.linked = Linked(number.take(rows))
         """Rows of these."""
-        lo, hi = self.points.min(axis=0), self.points.max(axis=0)
+        lo, hi = _bounds(self.points)
         self.middle: Floats = lo * 0.5 + hi * 0.5
         self.extent, self.largest = float((hi - lo).max()), float(np.maximum(-lo, hi).max())
 
@@ -445,16 +445,37 @@ def _used(corners: Integers) -> tuple[Integers, Integers]:
     return np.flatnonzero(there), number.take(corners)
 
 
-def _columns(points: Floats, corners: Integers) -> tuple[Floats, Floats, Floats]:
-    """The three corners (m, 3) of triangles, rows (m, 3) of points."""
-    one, two, three = (points.take(rows, axis=0) for rows in corners.T)
-    return one, two, three
+# Coordinates lie in columns here, all x before all y: numpy is several times as fast along a long
+# last axis as along one of three.
+
+
+def _bounds(points: Floats) -> tuple[Floats, Floats]:
+    """The least and the largest coordinates of points (k, 3)."""
+    columns = np.ascontiguousarray(points.T)
+    return columns.min(axis=1), columns.max(axis=1)
+
+
+def _places(points: Floats, corners: NDArray[Any]) -> Floats:
+    """Coordinates (3, 3, m) by corner and axis of triangles, rows (m, 3) of points (k, 3)."""
+    columns, rows = np.ascontiguousarray(points.T), np.ascontiguousarray(corners.T)
+    return np.stack([columns.take(row, axis=1) for row in rows])
+
+
+def _crossed(one: Floats, two: Floats) -> Floats:
+    """Cross products (3, m) of columns (3, m)."""
+    return np.stack([one[i - 2] * two[i - 1] - one[i - 1] * two[i - 2] for i in range(3)])
+
+
+def _squares(columns: Floats) -> Floats:
+    """Squared lengths (m,) of columns (3, m)."""
+    x, y, z = columns
+    return x * x + y * y + z * z
 
 
 def _require_thickness(points: Floats, corners: Integers, noise: float) -> None:
-    one, two, three = _columns(points, corners)
-    normals = np.cross(two - one, three - one)
-    largest = normals[np.argmax(np.einsum('ni,ni->n', normals, normals))]
+    one, two, three = _places(points, corners)
+    normals = _crossed(two - one, three - one)
+    largest = normals[:, np.argmax(_squares(normals))]
     length = np.linalg.norm(largest)
     if length == 0.0 or np.ptp(points @ (largest / length)) <= 4.0 * noise:
         raise ValueError('the mesh is flat: it has no inside')
@@ -464,7 +485,7 @@ def _planes(vertices: Floats, corners: Integers) -> tuple[Floats, Floats, Floats
     """Unit normals (m, 3) of the triangles, outwards; (m,) their heights over their longest edges;
     and the middle of the surface.
     """
-    one, two, three = _columns(vertices, corners)
+    one, two, three = (vertices.take(row, axis=0) for row in corners.T)
     normals = np.cross(two - one, three - one)
     area = np.linalg.norm(normals, axis=1)
     sides = (two - one, three - two, one - three)
@@ -731,11 +752,11 @@ def any_surface(given: Given, solid: bool) -> tuple[Surface, bool]:
         )
     one_side = _one_side(given.linked)
     linked = given.linked.part(one_side)
-    odd = np.flatnonzero(linked.at_edges % 2)
+    odd = np.flatnonzero(linked.at_edges & 1)
     if len(odd):
         # As exporters round corners, see above.
         welded = linked.moved(weld(given.points, 0.5 * given.noise))
-        if not (welded.at_edges % 2).any():
+        if not (welded.at_edges & 1).any():
             linked, odd = welded, odd[:0]
     if len(odd) and solid:
         raise ValueError(
@@ -747,17 +768,18 @@ def any_surface(given: Given, solid: bool) -> tuple[Surface, bool]:
         raise ValueError('the mesh has no triangle with an area')
     used, corners = _used(linked.corners[rows])
     vertices = given.points[used]
-    one, two, three = _columns(vertices / given.extent, corners)
-    normals = np.cross(two - one, three - one)  # as they are wound
-    length = np.linalg.norm(normals, axis=1, keepdims=True)
+    one, two, three = _places(vertices / given.extent, corners)
+    normals = _crossed(two - one, three - one)  # as they are wound
+    length = np.sqrt(_squares(normals))
     normals /= np.where(length > 0.0, length, 1.0)
+    normals = np.ascontiguousarray(normals.T)
     return Surface(vertices, corners, one_side[rows], normals), not len(odd)
 
 
 def _one_side(linked: Linked) -> Integers:
     """Rows of all triangles; of the first of each, if each is there an even number of times."""
     everyone = np.arange(len(linked.corners))
-    if (np.bincount(linked.first) % 2).any():
+    if (np.bincount(linked.first) & 1).any():
         return everyone
     return np.flatnonzero(linked.first == everyone)
 
@@ -766,10 +788,10 @@ def _have_area(points: Floats, corners: Integers) -> NDArray[np.bool_]:
     """Which triangles, rows (m, 3) of points, have an area, exactly: those that seem to have none
     are looked at in rational numbers.
     """
-    one, two, three = _columns(points, corners)
+    one, two, three = _places(points, corners)
     sides = two - one, three - one
-    size = np.max([np.abs(side).max(axis=1) for side in sides], axis=0)
-    have = np.abs(np.cross(*sides)).max(axis=1) > DOUBTFUL * size * size + TINY
+    longer = np.maximum(*(_squares(side) for side in sides))
+    have = _squares(_crossed(*sides)) > (DOUBTFUL * longer) ** 2 + TINY
     for row in np.flatnonzero(~have).tolist():
         a, b, c = ([Fraction(x) for x in corner] for corner in points[corners[row]].tolist())
         p, q = ([x - y for x, y in zip(other, a, strict=True)] for other in (b, c))
@@ -777,8 +799,8 @@ def _have_area(points: Floats, corners: Integers) -> NDArray[np.bool_]:
     return have
 
 
-# A cross product below may be all rounding: a share of the longer length's square, and where that
-# leaves the range of doubles.
+# A cross product below may be all rounding: a share of the longer side's square; and a square of
+# such products that may have left the range of doubles.
 DOUBTFUL, TINY = 2.0**-40, 2.0**-1000
 
 
@@ -931,7 +953,7 @@ class Mesh:
         """(m,) rows of the triangles as given."""
         self.dropped = len(rows) - len(self.rows)
         """How many of these had no area, or repeated others that count for them."""
-        lo, hi = surface.vertices.min(axis=0), surface.vertices.max(axis=0)
+        lo, hi = _bounds(surface.vertices)
         inside = bool((lo <= 0.0).all() and (hi >= 0.0).all())
         as_given = inside or not self.convex
         self.centre: Floats = np.zeros(3) if as_given else lo * 0.5 + hi * 0.5
@@ -1033,7 +1055,7 @@ class Mesh:
 
     @LazyProperty
     def _trees(self) -> 'tuple[NDArray[Any], int, WideNodes]':
-        tree = tree_over(self.vertices[self.corners], float(self.size.max()))
+        tree = tree_over(self.vertices, self.corners, float(self.size.max()))
         snapshot, wide = None, NO_WIDE
         if len(self.corners) >= FEWEST_WIDE:
             snapshot = take_snapshot(tree.view())
@@ -1043,8 +1065,9 @@ class Mesh:
             units = snapshot.center, snapshot.per_length
             triangles = np.zeros((*children.shape, 9), np.float32)
             leaves = children < 0
-            corners = self.vertices[self.corners[~children[leaves]]]
-            triangles[leaves] = ((corners - units[0]) * units[1]).reshape(-1, 9)
+            places = ((self.vertices - units[0]) * units[1]).astype(np.float32)
+            corners = self.corners.take(~children[leaves], axis=0)
+            triangles[leaves] = places.take(corners, axis=0).reshape(-1, 9)
             lanes = triangles.transpose(0, 2, 1).reshape(-1, 9 * WIDTH)
             wide = WideNodes(planes, children, lanes, *units, snapshot.depth)
         nodes, _, _, root = tree.arrays()
@@ -1088,10 +1111,10 @@ class Mesh:
         return self.vertices[used[np.unique(number[used], return_index=True)[1]]]
 
 
-def tree_over(triangles: Floats, size: float) -> OpenTree:
-    """A tree of the boxes around triangles (m, 3, 3) of a mesh of some size."""
-    pad = PAD * size
-    return OpenTree.from_boxes(triangles.min(axis=1) - pad, triangles.max(axis=1) + pad)
+def tree_over(places: Floats, corners: NDArray[np.int32], size: float) -> OpenTree:
+    """A tree of the boxes around triangles, rows (m, 3) of places, of a mesh of some size."""
+    triangles, pad = _places(places, corners), PAD * size
+    return OpenTree.from_boxes(triangles.min(axis=0).T - pad, triangles.max(axis=0).T + pad)
 
 
 def flattened(places: Floats, corners: NDArray[np.int32]) -> tuple[Floats, NDArray[np.int32]]:

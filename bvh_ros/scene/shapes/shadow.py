@@ -91,7 +91,7 @@ class Shadow:
         """(m, 3) see `flattened`."""
         self.rows = np.arange(len(corners), dtype=np.int32)
         self.seeds: Floats = self.vertices[:1]
-        nodes, _, _, root = tree_over(self.vertices[corners], float(mesh.size.max())).arrays()
+        nodes, _, _, root = tree_over(places, corners, float(mesh.size.max())).arrays()
         self.tree = nodes, int(root)
         farthest = float(np.linalg.norm(self.vertices, axis=1).max())
         self.radius = math.ldexp(1.0, math.frexp(farthest)[1])
