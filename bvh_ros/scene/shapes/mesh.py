@@ -71,7 +71,7 @@ def _chain(places: list[list[float]]) -> list[list[float]]:
 # deeper in the hull.
 
 
-AT_ONCE = 2**19  # triangles times planes that are compared in one go
+AT_ONCE = 2**17  # triangles times planes that are compared in one go: what a cache holds
 SAMPLE = 64  # triangles that are looked at first
 WIDEST = 64  # faces of the hull that every triangle is held against
 NEARBY = 8  # planes that each triangle is held against at each of its corners
@@ -85,16 +85,6 @@ class Lying(NamedTuple):
     normals: Floats  # (m, 3) of those planes, outward unit vectors
 
 
-class Hull(NamedTuple):
-    """Planes of a hull, and which of them meet at the corner nearest each of its points."""
-
-    equations: Floats  # (f, 4) outward unit normal n and d: n . x + d <= 0 in the hull
-    areas: Floats  # (f,) of the faces
-    first: Integers  # (k,) where the planes of each point begin in `number`
-    times: Integers  # (k,) how many they are
-    number: Integers
-
-
 def lying(points: Floats, corners: Integers, enough: float) -> Lying:
     """How deep triangles, rows (m, 3) of points (k, 3), lie in the hull of all points.
 
@@ -102,39 +92,44 @@ def lying(points: Floats, corners: Integers, enough: float) -> Lying:
     first such triangles, and says 0 of those that it did not look at. Else some plane that says so
     little is taken.
     """
-    hull, faces = _hull(points)
+    equations, faces = _hull(points)
     found = Lying(np.full(len(corners), np.inf), np.zeros((len(corners), 3)))
     row, face = _shared(corners, faces, len(points))
-    found.depths[row], found.normals[row] = 0.0, hull.equations[face, :3]
+    found.depths[row], found.normals[row] = 0.0, equations[face, :3]
     rest = np.flatnonzero(found.depths > enough)
     if len(rest) > 4 * SAMPLE:
         # Of a mesh that is not convex some lie deep, which takes far less time to see than of all.
         some = rest[:: len(rest) // SAMPLE]
         step = AT_ONCE // len(faces) + 1
         for begin in range(0, len(some), step):
-            _hold_against(points, corners, some[begin : begin + step], hull.equations, found)
+            _hold_against(points, corners, some[begin : begin + step], equations, found)
         if found.depths[some].max() > enough:
             found.depths[np.isinf(found.depths)] = 0.0
             return found
-    widest = np.argsort(-hull.areas)[:WIDEST]
+    one, two, three = (points.take(row, axis=0) for row in faces.T)
+    areas = np.linalg.norm(np.cross(two - one, three - one), axis=1)
+    widest = np.argsort(-areas)[:WIDEST]
     for begin in range(0, len(rest), AT_ONCE // WIDEST):
         rows = rest[begin : begin + AT_ONCE // WIDEST]
-        _hold_against(points, corners, rows, hull.equations[widest], found)
-    rest = _hold_against_near(points, corners, rest, hull, enough, found)
+        _hold_against(points, corners, rows, equations[widest], found)
+    rest = _hold_against_near(points, corners, rest, equations, faces, enough, found)
     rest = rest[np.argsort(-found.depths[rest])]
     step = AT_ONCE // len(faces) + 1
     for begin in range(0, len(rest), step):
         rows = rest[begin : begin + step]
-        _hold_against(points, corners, rows, hull.equations, found)
+        _hold_against(points, corners, rows, equations, found)
         if found.depths[rows].max() > enough:
+            found.depths[rest[begin + step :]] = 0.0
             break
     return found
 
 
-def _hull(points: Floats) -> tuple[Hull, Integers]:
-    """The hull of points, and the triangles (f, 3) of its surface."""
+def _hull(points: Floats) -> tuple[Floats, Integers]:
+    """Planes (f, 4) of the hull of points, outward unit normal n and d, n . x + d <= 0 within it;
+    and the triangles (f, 3) of its surface that they go through.
+    """
     # Only meshes need this library: it is imported when the first one comes.
-    from scipy.spatial import ConvexHull, QhullError, cKDTree
+    from scipy.spatial import ConvexHull, QhullError
 
     # A flat face of ten thousand corners would take it minutes. So its points are moved, by far
     # less than what is looked for, and the planes outwards by as much.
@@ -143,18 +138,8 @@ def _hull(points: Floats) -> tuple[Hull, Integers]:
         hull = ConvexHull(points + np.random.default_rng(1).uniform(-by, by, points.shape))
     except QhullError:
         raise ValueError('the mesh is flat: it has no inside') from None
-    faces = hull.simplices.astype(np.int64)
-    order = np.argsort(faces, axis=None, kind='stable')
-    count = np.bincount(faces.ravel(), minlength=len(points))
-    on_hull = np.flatnonzero(count)
-    nearest = np.arange(len(points))
-    within = np.flatnonzero(count == 0)
-    nearest[within] = on_hull[cKDTree(points[on_hull]).query(points[within])[1]]
-    first = np.cumsum(count) - count
-    one, two, three = (points[faces[:, k]] for k in range(3))
-    areas = np.linalg.norm(np.cross(two - one, three - one), axis=1)
     equations = hull.equations - [0.0, 0.0, 0.0, math.sqrt(3.0) * by]
-    return Hull(equations, areas, first[nearest], count[nearest], order // 3), faces
+    return equations, hull.simplices.astype(np.int64)
 
 
 def _shared(corners: Integers, faces: Integers, count: int) -> tuple[Integers, Integers]:
@@ -170,32 +155,50 @@ def _shared(corners: Integers, faces: Integers, count: int) -> tuple[Integers, I
 
 
 def _hold_against_near(
-    points: Floats, corners: Integers, rows: Integers, hull: Hull, enough: float, found: Lying
+    points: Floats,
+    corners: Integers,
+    rows: Integers,
+    equations: Floats,
+    faces: Integers,
+    enough: float,
+    found: Lying,
 ) -> Integers:
     """Hold triangles against planes that meet near their corners; return those that lie deeper."""
+    rows = rows[found.depths[rows] > enough]
+    if not len(rows):
+        return rows
+    from scipy.spatial import cKDTree
+
+    number = np.argsort(faces, axis=None, kind='stable') // 3  # of planes, by the hull's corners
+    times = np.bincount(faces.ravel(), minlength=len(points))
+    first, nearest = np.cumsum(times) - times, np.arange(len(points))
+    of_hull, within = np.flatnonzero(times), np.flatnonzero(times == 0)
+    nearest[within] = of_hull[cKDTree(points[of_hull]).query(points[within])[1]]
     for corner in range(3):
         for share in range(NEARBY):
+            at = nearest[corners[rows, corner]]
+            plane = number[first[at] + share * times[at] // NEARBY]
+            _note(points, corners, rows, equations.take(plane, axis=0), found)
             rows = rows[found.depths[rows] > enough]
-            at = corners[rows, corner]
-            number = hull.number[hull.first[at] + share * hull.times[at] // NEARBY]
-            _note(points, corners, rows, hull.equations[number], found)
-    return rows[found.depths[rows] > enough]
+    return rows
 
 
 def _hold_against(
     points: Floats, corners: Integers, rows: Integers, equations: Floats, found: Lying
 ) -> None:
     """Hold triangles against all of some planes."""
-    heights = points[corners[rows]] @ equations[:, :3].T + equations[:, 3]
-    best = np.argmax(heights.min(axis=1), axis=1)
-    _note(points, corners, rows, equations[best], found)
+    one, two, three = (points.take(row, axis=0) @ equations[:, :3].T for row in corners[rows].T)
+    lowest = np.minimum(np.minimum(one, two), three) + equations[:, 3]
+    best = np.argmax(lowest, axis=1)
+    _note(points, corners, rows, equations.take(best, axis=0), found)
 
 
 def _note(
     points: Floats, corners: Integers, rows: Integers, equations: Floats, found: Lying
 ) -> None:
     """Hold each triangle against one plane, and note what is less than was known."""
-    heights = np.einsum('nki,ni->nk', points[corners[rows]], equations[:, :3])
+    places = points.take(corners.take(rows, axis=0), axis=0)
+    heights = np.einsum('nki,ni->nk', places, equations[:, :3])
     depths = -heights.min(axis=1) - equations[:, 3]
     less = depths < found.depths[rows]
     found.depths[rows[less]], found.normals[rows[less]] = depths[less], equations[less, :3]
@@ -670,7 +673,7 @@ def _around(places: Floats, starts: NDArray[np.int64]) -> Floats:
 GRID = 16  # squares along each edge of the cube
 CORNERS = GRID + 1
 RAISED = 2.0**-47  # of a mesh's radius: more than what rounds a reach in the grid
-AT_ONCE = 256  # vertices, with all directions: what a cache holds
+VERTICES = 256  # that are taken with all directions at once: what a cache holds
 
 
 def grid_of_reaches(vertices: Floats, radius: float) -> Floats:
@@ -683,8 +686,8 @@ def grid_of_reaches(vertices: Floats, radius: float) -> Floats:
         grid[axis, :, :, (axis + 2) % 3] = steps
     directions = grid.reshape(-1, 3).T
     ahead, behind = np.full((2, directions.shape[1]), -np.inf)
-    for begin in range(0, len(vertices), AT_ONCE):
-        along = vertices[begin : begin + AT_ONCE] @ directions
+    for begin in range(0, len(vertices), VERTICES):
+        along = vertices[begin : begin + VERTICES] @ directions
         np.maximum(ahead, along.max(axis=0), out=ahead)
         np.maximum(behind, -along.min(axis=0), out=behind)
     reaches = np.stack((ahead, behind), axis=1) + RAISED * radius
