@@ -424,9 +424,8 @@ def _closed(linked: Linked) -> Closed:
     row = np.flatnonzero(real & (linked.first == np.arange(len(real))))
     surface = linked.part(row)
     used, corners = _used(surface.corners)
-    stray = ~np.isin(linked.corners, used) if surface is not linked else np.array(False)
-    if stray.any():
-        bad = int(np.argmax(stray.any(axis=1)))
+    if surface is not linked and not (there := np.isin(linked.corners, used)).all():
+        bad = int(np.argmin(there.all(axis=1)))
         raise ValueError(f'triangle {bad} has no area, and is no part of the surface')
     count = surface.at_edges
     if (count != 2).any():
@@ -1127,7 +1126,9 @@ def flattened(places: Floats, corners: NDArray[np.int32]) -> tuple[Floats, NDArr
     """
     flat = places * (1.0, 1.0, 0.0) + 0.0  # of zeros one sign
     first, number = different(flat)
-    flat, rows = flat[first], np.unique(np.sort(number[corners], axis=1), axis=0)
+    flat, linked = flat[first], Linked(number.take(corners))
+    rows = linked.sets[linked.first == np.arange(len(corners))]
+    rows = rows[np.lexsort(rows.T[::-1])]
     upright = (np.diff(rows, axis=1) == 0).any(axis=1)
     segments, rows = rows[upright], rows[~upright]
     edges = rows[:, [0, 1, 1, 2, 0, 2]].reshape(-1, 2)

@@ -50,6 +50,22 @@ def test_a_dent_is_refused_and_float32_is_not():
         mesh_of(dented, 'convex')
 
 
+def test_corners_stay_apart_whose_bits_are_summed_to_one_number():
+    """Corners are told apart by such a number first."""
+    factor = 0x1E3779B97F4A7C15
+
+    def moved(x, by):
+        bits = int(np.float64(x).view(np.uint64))
+        bits = ((bits ^ bits >> 32) + by) % 2**64
+        return np.uint64(bits ^ bits >> 32).view(np.float64)
+
+    corners = np.array([[0, 1, 1], [0, moved(1.0, 1), moved(1.0, -factor)], [1, 0, 0], [-1, 0, 0]])
+    faces = np.array([[0, 1, 2], [0, 1, 3], [0, 2, 3], [1, 2, 3]])
+    for mesh in (Mesh(corners, faces), Mesh(corners[faces])):
+        assert mesh.convex
+        assert {*map(tuple, mesh.vertices)} == {*map(tuple, corners)}
+
+
 def test_a_row_needs_its_mesh():
     cube = Mesh(CUBE)
     rows = Shapes.of_meshes([cube, cube], np.zeros((2, 3)))
