@@ -4,7 +4,6 @@
 
 import fnmatch
 import re
-from unittest.mock import patch
 
 import numpy as np
 import pytest
@@ -16,7 +15,6 @@ pytest.importorskip('rclpy', reason='rclpy is not installed', exc_type=ImportErr
 
 from bvh_ros.ros.access import ConfigurationError
 from bvh_ros.ros.config.parameters import ViewSettings
-from bvh_ros.ros.world import views as world_views
 from bvh_ros.ros.world.views import Categoriser, Patterns, create_views
 from bvh_ros.scene import NodeScene, Numbered, Shapes
 from bvh_ros.scene.names import as_families
@@ -52,10 +50,8 @@ def test_bits_of_numbered_names_are_those_of_their_strings(patterns, prefix, num
     names = [f'{prefix}{number}' for number in numbers]
     masks = [expected(name, views) for name in names]
     numbered = as_families(Numbered(prefix, np.array(numbers, np.int64)))
-    for few in (0, world_views.FEW):  # one way for many names, another one for few
-        with patch.object(world_views, 'FEW', few):
-            assert categorise(as_families(names)).tolist() == masks
-            assert categorise(numbered).tolist() == masks
+    assert categorise(as_families(names)).tolist() == masks
+    assert categorise(numbered).tolist() == masks
 
 
 @pytest.mark.parametrize(
