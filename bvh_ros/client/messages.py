@@ -14,7 +14,7 @@ from nav_msgs.msg import Path
 from nav_msgs.srv import GetPlan
 from numpy.typing import ArrayLike, DTypeLike, NDArray
 
-from bvh_ros.ros.conversions import query_clouds
+from bvh_ros.ros.conversions import nanoseconds, query_clouds
 from bvh_ros.ros.conversions.query_clouds import Boxes, Points, Rays
 from bvh_ros.tree.access import checks, whole_ns
 
@@ -153,7 +153,7 @@ def _hit(stamped: PoseStamped) -> Hit:
         (at.x, at.y, at.z),
         # The node sends the normal as the rotation of +x.
         (1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y + z * w), 2.0 * (x * z - y * w)),
-        stamp.sec * 1_000_000_000 + stamp.nanosec,
+        nanoseconds(stamp),
     )
 
 

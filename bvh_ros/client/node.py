@@ -29,6 +29,7 @@ from bvh_ros.client import messages
 from bvh_ros.client.messages import Batch, BvhError, BvhTimeoutError, Hit, NoRowAnsweredError
 from bvh_ros.client.typed import Typed
 from bvh_ros.client.waiting import Patience, Question, Waiting, left
+from bvh_ros.ros.conversions import nanoseconds
 from bvh_ros.ros.conversions.query_clouds import (
     UNANSWERED,
     Hits,
@@ -37,7 +38,6 @@ from bvh_ros.ros.conversions.query_clouds import (
     Touched,
     read_answers,
 )
-from bvh_ros.ros.conversions.times import nanoseconds
 from bvh_ros.ros.qos import REPEATED_REPLIES, REQUESTS, repeated
 
 QUERIES = 'raycast', 'raycast_all', 'overlap', 'nearest'

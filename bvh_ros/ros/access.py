@@ -3,7 +3,7 @@
 """What other rooms and the tests use of the node. It imports rclpy, so the client does without."""
 
 from bvh_ros.ros.config.parameters import ConfigurationError, SourceSettings, TransformSettings
-from bvh_ros.ros.conversions.times import nanoseconds
+from bvh_ros.ros.conversions import nanoseconds
 from bvh_ros.ros.qos import DEPTH, REQUESTS, Delivery
 from bvh_ros.ros.server import BvhServer, has_typed_services
 from bvh_ros.ros.sources import SOURCE_TYPES, create_source

@@ -28,8 +28,9 @@ from bvh_ros.ros.cdr import marker_array
 from bvh_ros.ros.config.parameters import LASER_SCAN, ScanSettings, scan_settings
 from bvh_ros.ros.conversions import outlines, query_clouds, rotations
 from bvh_ros.ros.conversions.markers import MarkerTable
+from bvh_ros.ros.conversions.placing import alike, joined
 from bvh_ros.ros.parts.diagnostics import Maintenance
-from bvh_ros.scene import AS_SURFACE, ShapeKind, Shapes, mesh_of, unchecked_shapes
+from bvh_ros.scene import AS_SURFACE, ShapeKind, Shapes, mesh_of
 from bvh_ros.view.worlds import (
     NO_POINTS,
     Answer,
@@ -64,14 +65,14 @@ def obstacles(message: bytes) -> dict[str, Shapes]:
             drawn = _of_list(table, row, LISTS[kind])
         elif kind in SINGLES:
             places = table.position[row : row + 1], table.orientation[row : row + 1]
-            drawn = _shapes(SINGLES[kind], *places, table.scale[row : row + 1])
+            drawn = alike(SINGLES[kind], *places, table.scale[row : row + 1])
         elif kind == Marker.TRIANGLE_LIST:
             points = table.points(row)
             drawn = _of_boxes(points) if _are_boxes(points) else _of_mesh(points)
         if drawn is not None:
             source = table.namespaces[int(table.namespace[row])]
             found.setdefault(source, []).append(drawn)
-    return {source: _joined(several) for source, several in found.items()}
+    return {source: joined(several) for source, several in found.items()}
 
 
 def tree(message: bytes, first_depth: int, planar: bool) -> tuple[Floats, Floats, Integers]:
@@ -106,7 +107,7 @@ def _of_list(table: MarkerTable, row: int, kind: ShapeKind) -> Shapes:
     turn = rotations.normalised(table.orientation[row])
     places = rotations.rotate(turn, table.points(row)) + table.position[row]
     count = len(places)
-    return _shapes(kind, places, np.tile(turn, (count, 1)), np.tile(table.scale[row], (count, 1)))
+    return alike(kind, places, np.tile(turn, (count, 1)), np.tile(table.scale[row], (count, 1)))
 
 
 def _are_boxes(points: Floats) -> bool:
@@ -134,7 +135,7 @@ def _of_boxes(points: Floats) -> Shapes:
     sizes = np.linalg.norm(axes, axis=2)
     middle = 0.5 * (corners[:, 0] + corners[:, 7])
     units = np.where(sizes[..., None] > 0.0, axes / np.maximum(sizes, 5e-324)[..., None], 0.0)
-    return _shapes(ShapeKind.BOX, middle, _quaternions(units), sizes)
+    return alike(ShapeKind.BOX, middle, _quaternions(units), sizes)
 
 
 def _quaternions(axes: Floats) -> Floats:
@@ -150,20 +151,6 @@ def _quaternions(axes: Floats) -> Floats:
     matrices[~sound] = np.eye(3)
     quaternions: Floats = Rotation.from_matrix(matrices).as_quat()
     return quaternions
-
-
-def _shapes(kind: ShapeKind, position: Floats, orientation: Floats, size: Floats) -> Shapes:
-    return unchecked_shapes(np.full(len(position), kind, np.uint8), position, orientation, size)
-
-
-def _joined(several: list[Shapes]) -> Shapes:
-    meshes = np.concatenate(
-        [np.full(len(one.kind), None) if one.mesh is None else one.mesh for one in several]
-    )
-    kinds, places, turns, sizes = (
-        np.concatenate([one[column] for one in several]) for column in range(4)
-    )
-    return unchecked_shapes(kinds, places, turns, sizes, meshes)
 
 
 # ---- The topics of a node: diagnostics and pictures

@@ -218,14 +218,14 @@ def _table(
         namespace=namespace,
         frame_ids=frame_ids,
         frame=frame,
-        stamp=_nanoseconds(columns['stamp']),
+        stamp=reading.nanoseconds(columns['stamp']),
         id=columns['id'].astype(np.int64),
         type=columns['type'].astype(np.int64),
         action=columns['action'].astype(np.int64),
         position=columns['position'].astype(np.float64),
         orientation=columns['orientation'].astype(np.float64),
         scale=columns['scale'].astype(np.float64),
-        lifetime=_nanoseconds(columns['lifetime']),
+        lifetime=reading.nanoseconds(columns['lifetime']),
         points=partial(_points, data, order, places),
         resource=partial(_resource, data, places),
         colours=partial(_colours, data, order, places),
@@ -234,15 +234,11 @@ def _table(
 
 @functools.cache
 def _fixed_type(order: str) -> np.dtype[np.void]:
-    time = [('sec', f'{order}i4'), ('nanosec', f'{order}u4')]
+    time = reading.time_type(order)
     numbers = [(name, f'{order}i4') for name in ('id', 'type', 'action')]
     vectors = [('position', 3), ('orientation', 4), ('scale', 3)]
     placed = [(name, f'{order}f8', (size,)) for name, size in vectors]
     return np.dtype([('stamp', time), *numbers, *placed, ('lifetime', time)])
-
-
-def _nanoseconds(time: NDArray[np.void]) -> NDArray[np.int64]:
-    return time['sec'].astype(np.int64) * 1_000_000_000 + time['nanosec']
 
 
 def _texts(

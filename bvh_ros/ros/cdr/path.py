@@ -86,8 +86,8 @@ def read(message: bytes) -> Path:
     frame_id = body[begin : begin + length].tobytes().decode('utf-8', 'replace')  # as rclpy does
     return Path(
         frame_id,
-        int(_nanoseconds(body[:STAMP].view(_time_type(order)))[0]),
-        _nanoseconds(columns['stamp']),
+        int(reading.nanoseconds(body[:STAMP].view(reading.time_type(order)))[0]),
+        reading.nanoseconds(columns['stamp']),
         columns['position'].astype(np.float64),
         columns['orientation'].astype(np.float64),
         elsewhere,
@@ -95,17 +95,6 @@ def read(message: bytes) -> Path:
 
 
 @functools.cache
-def _time_type(order: str) -> np.dtype[np.void]:
-    return np.dtype([('sec', f'{order}i4'), ('nanosec', f'{order}u4')])
-
-
-@functools.cache
 def _pose_type(order: str) -> np.dtype[np.void]:
-    numbers = f'{order}f8'
-    return np.dtype(
-        [('stamp', _time_type(order)), ('position', numbers, (3,)), ('orientation', numbers, (4,))]
-    )
-
-
-def _nanoseconds(time: NDArray[np.void]) -> NDArray[np.int64]:
-    return time['sec'].astype(np.int64) * 1_000_000_000 + time['nanosec']
+    time, numbers = reading.time_type(order), f'{order}f8'
+    return np.dtype([('stamp', time), ('position', numbers, (3,)), ('orientation', numbers, (4,))])

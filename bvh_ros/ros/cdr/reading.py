@@ -43,6 +43,16 @@ def body_of(message: bytes) -> tuple[NDArray[np.uint8], str]:
     return body, BYTE_ORDERS[encoding]
 
 
+def time_type(order: str) -> np.dtype[np.void]:
+    """A Time or Duration of this byte order."""
+    return np.dtype([('sec', f'{order}i4'), ('nanosec', f'{order}u4')])
+
+
+def nanoseconds(times: NDArray[np.void]) -> NDArray[np.int64]:
+    """Return such times in ns."""
+    return times['sec'].astype(np.int64) * 1_000_000_000 + times['nanosec']
+
+
 @inlined
 def aligned(at, size):
     """The first place from `at` on that is a multiple of `size`, a power of two."""

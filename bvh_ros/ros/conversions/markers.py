@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from bvh_ros.ros.conversions import rotations
 from bvh_ros.ros.conversions.placing import IntoNode, Placing, examined
 from bvh_ros.ros.texts import shortened
-from bvh_ros.ros.world.frames import Transform
 from bvh_ros.scene import (
     AS_CONVEX,
     Block,
@@ -461,13 +460,3 @@ class _Reader:
         if row in self.reasons:
             return self.reasons[row]
         return why_not(self.table, row)
-
-
-def moved(shapes: Shapes, transform: Transform | None) -> Shapes:
-    """Return the shapes in the node's frame."""
-    if transform is None:
-        return shapes
-    return shapes._replace(
-        position=transform.points(shapes.position),
-        orientation=transform.orientations(shapes.orientation),
-    )

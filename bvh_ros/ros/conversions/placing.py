@@ -1,17 +1,20 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What all messages of obstacles need: names of parts, meshes of triangles, frames of rows."""
+"""What all messages of obstacles need: names of parts, rows of shapes, meshes of triangles, frames
+of rows.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Generator, Mapping, Sequence
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bvh_ros.ros.world.frames import FrameError, Transform
-from bvh_ros.scene import Families, Mesh, Shapes, mesh_of
+from bvh_ros.scene import Families, Mesh, ShapeKind, Shapes, mesh_of, unchecked_shapes
 from bvh_ros.scene.store import run_in_thread
 
 # ---- Names of obstacles that are numbered parts of something
@@ -32,6 +35,37 @@ def numbered(spans: Mapping[str, range], after: Families = NOTHING) -> Families:
         [*after.prefixes, *spans],
         np.concatenate((after.family, family)),
         np.concatenate((after.numbers, *numbers)),
+    )
+
+
+# ---- Rows of shapes
+
+
+Floats = NDArray[np.float64]
+
+
+def alike(kind: ShapeKind, position: Floats, orientation: Floats, size: Floats) -> Shapes:
+    """Rows of one kind, which may be no legal shapes."""
+    return unchecked_shapes(np.full(len(position), kind, np.uint8), position, orientation, size)
+
+
+def joined(several: Sequence[Shapes]) -> Shapes:
+    """All rows, one after another."""
+    first = [shapes[:4] for shapes in several]
+    columns: list[Any] = [np.concatenate(column) for column in zip(*first, strict=True)]
+    if any(shapes.mesh is not None for shapes in several):
+        meshes = [np.full(len(s.kind), None) if s.mesh is None else s.mesh for s in several]
+        columns.append(np.concatenate(meshes))
+    return unchecked_shapes(*columns)
+
+
+def moved(shapes: Shapes, transform: Transform | None) -> Shapes:
+    """Return the shapes in the node's frame."""
+    if transform is None:
+        return shapes
+    return shapes._replace(
+        position=transform.points(shapes.position),
+        orientation=transform.orientations(shapes.orientation),
     )
 
 

@@ -12,8 +12,7 @@ from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Path
 from std_msgs.msg import Header
 
-from bvh_ros.ros.conversions import rotations
-from bvh_ros.ros.conversions.times import nanoseconds
+from bvh_ros.ros.conversions import nanoseconds, rotations
 from bvh_ros.ros.world.frames import Transform
 from bvh_ros.scene import SceneHit
 from bvh_ros.tree.access import checks

@@ -23,7 +23,7 @@ from bvh_ros.ros.compile_jobs import (
     POINTS,
     SWEEPS,
 )
-from bvh_ros.ros.conversions import rotations
+from bvh_ros.ros.conversions import nanoseconds, rotations
 from bvh_ros.ros.conversions.query_clouds import (
     EVERYTHING,
     UNANSWERED,
@@ -35,7 +35,6 @@ from bvh_ros.ros.conversions.query_clouds import (
     improper,
     take,
 )
-from bvh_ros.ros.conversions.times import nanoseconds
 from bvh_ros.ros.parts.batches import Pace, Spans, checked, near, prepare, spans_after
 from bvh_ros.ros.parts.part import NodePart, Timings
 from bvh_ros.ros.parts.services import in_turns

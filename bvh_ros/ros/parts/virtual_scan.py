@@ -15,7 +15,7 @@ from sensor_msgs.msg import LaserScan, PointCloud2
 from std_msgs.msg import Header
 
 from bvh_ros.ros.config.parameters import LASER_SCAN, ScanSettings
-from bvh_ros.ros.conversions import rotations
+from bvh_ros.ros.conversions import nanoseconds, rotations
 from bvh_ros.ros.conversions.query_clouds import (
     FREE,
     UNANSWERED,
@@ -24,7 +24,6 @@ from bvh_ros.ros.conversions.query_clouds import (
     answers_cloud,
     unanswered,
 )
-from bvh_ros.ros.conversions.times import nanoseconds
 from bvh_ros.ros.parts.part import NodePart, Timings
 from bvh_ros.ros.qos import Delivery
 from bvh_ros.ros.sources.subscribing import FollowingSubscription

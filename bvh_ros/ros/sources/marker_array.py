@@ -27,6 +27,7 @@ class MarkerArraySource(Source):
     """Keeps one obstacle for each marker, and one for each element of a list marker."""
 
     message_type = MarkerArray
+    raw = True
 
     def __init__(self, *args: Any) -> None:
         super().__init__(*args)
@@ -36,7 +37,7 @@ class MarkerArraySource(Source):
             raise ConfigurationError(
                 f"source '{self.name}': {other} is defined here otherwise than in ROS 2 Jazzy"
             )
-        self.raw, self.together = True, self.follow is None
+        self.together = self.follow is None
 
     def to_compile(self) -> Iterable[Job]:
         """Return the decoder."""

@@ -7,15 +7,11 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Any
 
-import numpy as np
 from octomap_msgs.msg import Octomap
 
 from bvh_ros.ros.compile_jobs import Job
 from bvh_ros.ros.conversions import octomap
-from bvh_ros.ros.conversions.markers import moved
-from bvh_ros.ros.sources.columns import ColumnsSource
-from bvh_ros.ros.sources.source import Applying
-from bvh_ros.scene import Numbered, Part
+from bvh_ros.ros.sources.source import Applying, ColumnsSource
 
 
 def to_compile() -> Job:
@@ -43,12 +39,6 @@ class OctomapSource(ColumnsSource):
             occupied_at=self.settings.options['occupied_at'],
             most=self.scene.max_obstacles,
         )
-        (frame_id,), stamp = (
-            columns.texts('header.frame_id'),
-            columns.stamps('header.stamp').item(),
-        )
-        shapes = moved(shapes, self.frames.into_node(frame_id, stamp))
-        total = len(shapes.kind)
-        names = Numbered(f'{self.settings.prefix}{self.name}#', np.arange(total))
-        part = Part(names, shapes, stamp or now)
-        return total, (yield from self._in_slices('', total, part.cut, whole=True))
+        (frame_id,) = columns.texts('header.frame_id')
+        stamp = columns.stamps('header.stamp').item()
+        return (yield from self._replace_all(shapes, frame_id, stamp, now))

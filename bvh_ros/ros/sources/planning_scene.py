@@ -11,9 +11,17 @@ from moveit_msgs.msg import PlanningScene
 
 from bvh_ros.ros.cdr.any_message import Columns, plan_of
 from bvh_ros.ros.compile_jobs import Job
-from bvh_ros.ros.conversions import collision_objects, octomap
-from bvh_ros.ros.conversions.collision_objects import Body, CollisionObjects
-from bvh_ros.ros.sources.collision_object import OCTOMAP, BodiesSource, Changes
+from bvh_ros.ros.conversions import octomap
+from bvh_ros.ros.sources.collision_object import (
+    FIELDS,
+    OCTOMAP,
+    REMOVE,
+    BodiesSource,
+    Body,
+    Changes,
+    CollisionObjects,
+    place_of,
+)
 from bvh_ros.ros.sources.octomap import to_compile
 from bvh_ros.ros.sources.source import Applying
 
@@ -29,16 +37,21 @@ class PlanningSceneSource(BodiesSource):
 
     message_type = PlanningScene
     fields = (
-        *(f'{OBJECTS}.{field}' for field in collision_objects.FIELDS),
+        *(f'{OBJECTS}.{field}' for field in FIELDS),
         *(f'{ATTACHED}.id', f'{ATTACHED}.operation'),
         *('world.octomap.header', 'world.octomap.origin'),
         *(f'{OCTREE}{field}' for field in octomap.FIELDS if field != 'header'),
         'is_diff',
     )
 
-    def __init__(self, *args: Any) -> None:
-        super().__init__(*args)
-        self.says_everything = says_everything
+    @staticmethod
+    def says_everything(serialised: bytes) -> bool:
+        """Whether a scene replaces the one before."""
+        try:
+            columns = Columns(serialised, plan_of(PlanningScene, ('is_diff',)))
+        except ValueError:
+            return False
+        return not columns.numbers('is_diff').item()
 
     def to_compile(self) -> Iterable[Job]:
         """Return the readers of the message and of the octree."""
@@ -62,7 +75,7 @@ class PlanningSceneSource(BodiesSource):
         in_world = set(columns.texts(f'{OBJECTS}.id'))
         operations = columns.numbers(f'{ATTACHED}.operation')[:, 0].tolist()
         for row, name in enumerate(columns.texts(f'{ATTACHED}.id')):
-            if operations[row] != collision_objects.REMOVE:
+            if operations[row] != REMOVE:
                 changes.remove(name)
             elif name not in in_world:
                 reason = 'it leaves the robot, and the scene does not say where it is then'
@@ -80,7 +93,7 @@ class PlanningSceneSource(BodiesSource):
         (frame_id,) = columns.texts('world.octomap.header.frame_id')
         stamp = columns.stamps('world.octomap.header.stamp').item()
         try:
-            place = collision_objects.place_of(columns.numbers('world.octomap.origin')[0])
+            place = place_of(columns.numbers('world.octomap.origin')[0])
             frame = self.frames.into_node(frame_id, stamp)
             parts = yield from octomap.boxes(
                 tree,
@@ -92,12 +105,3 @@ class PlanningSceneSource(BodiesSource):
             return
         place = place if frame is None else frame.after(place)
         changes.put(OCTOMAP, Body(parts, place, stamp or now))
-
-
-def says_everything(serialised: bytes) -> bool:
-    """Whether a scene replaces the one before."""
-    try:
-        columns = Columns(serialised, plan_of(PlanningScene, ('is_diff',)))
-    except ValueError:
-        return False
-    return not columns.numbers('is_diff').item()

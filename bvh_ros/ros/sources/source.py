@@ -1,6 +1,8 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What all sources share: when they spoke, what they refused, whether to trust the world."""
+"""What all sources share: when they spoke, what they refused, whether to trust the world; and
+how those read messages that take only the fields that matter.
+"""
 
 from __future__ import annotations
 
@@ -15,12 +17,17 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 from rclpy.serialization import deserialize_message
 
+from bvh_ros.ros.cdr import any_message
+from bvh_ros.ros.cdr.any_message import Columns, plan_of
+from bvh_ros.ros.compile_jobs import Job
+from bvh_ros.ros.config.parameters import ConfigurationError
+from bvh_ros.ros.conversions.placing import moved
 from bvh_ros.ros.parts.part import Timings
 from bvh_ros.ros.qos import DEPTH, Delivery
 from bvh_ros.ros.sources.subscribing import Completeness, FollowingSubscription, Heard
 from bvh_ros.ros.texts import Refused, explain, shortened
 from bvh_ros.ros.world.large_changes import LargeChanges
-from bvh_ros.scene import Part, Refusal, Refusals, ShapeKind
+from bvh_ros.scene import Numbered, Part, Refusal, Refusals, ShapeKind, Shapes
 from bvh_ros.scene.slicing import AT_ONCE
 from bvh_ros.scene.store import WAITS
 
@@ -28,7 +35,6 @@ if TYPE_CHECKING:
     from rclpy.guard_condition import GuardCondition
     from rclpy.node import Node
 
-    from bvh_ros.ros.compile_jobs import Job
     from bvh_ros.ros.config.parameters import SourceSettings
     from bvh_ros.ros.sources.mesh_resources import MeshFiles
     from bvh_ros.ros.world.frames import Frames
@@ -51,6 +57,8 @@ class Source(ABC):
     message_type: ClassVar[type]
     depth: ClassVar[int] = DEPTH
     follows_publisher: ClassVar[bool] = True
+    raw: ClassVar[bool] = False  # whether `apply` takes messages as serialised bytes
+    says_everything: ClassVar[Any] = None  # whether a message does: of such, few may wait
 
     def __init__(
         self, node: Node, settings: SourceSettings, scene: NodeScene, frames: Frames
@@ -66,15 +74,13 @@ class Source(ABC):
         self.spoke_at = 0  # ns on the node's clock
         self.has_spoken = False
         self.completeness = Completeness()
-        self.says_everything: Callable[[bytes], bool] | None = None  # of such, few may wait
         # Called after each message; may pause.
         self.on_applied: Callable[[Source, int], Iterable[None]] = lambda source, now: ()
         self.changes = LargeChanges(scene)
         # Reads the mesh files that messages name, made when there is one; None: none are read.
         self.mesh_files: Callable[[], MeshFiles] | None = None
         self.is_whole = False  # whether the message that is being applied says everything
-        # Whether `apply` takes messages as serialised bytes; whether it takes several small ones.
-        self.raw = self.together = False
+        self.together = False  # whether `apply` takes several small messages
         self.follow = _follower(settings)
         self._node = node
         self.longest_slice = 0.0  # s that nobody else had a turn
@@ -240,6 +246,14 @@ class Source(ABC):
             return (yield from apply())
         return (yield from self.changes.make(self, partial(_run, apply(at_once=True))))
 
+    def _replace_all(self, shapes: Shapes, frame_id: str, stamp: int, now: int) -> Applying:
+        """Replace all obstacles by numbered ones, which a frame and a stamp place."""
+        shapes = moved(shapes, self.frames.into_node(frame_id, stamp))
+        total = len(shapes.kind)
+        names = Numbered(f'{self.settings.prefix}{self.name}#', np.arange(total))
+        part = Part(names, shapes, stamp or now)
+        return total, (yield from self._in_slices('', total, part.cut, whole=True))
+
     def _change(self, part: Part, leaving: Slots, *, clears: bool = False) -> Slices:
         """Let some obstacles go, or all if `clears`, and others come: first the ones, then the
         others, but for an update that pauses. Others ask meanwhile, so it removes last.
@@ -311,6 +325,29 @@ class Source(ABC):
                 f'longer than its max_age of {settings.max_age:g} s'
             )
         return ''
+
+
+class ColumnsSource(Source):
+    """Reads the bytes of messages by a kernel, as columns of some fields."""
+
+    raw = True
+    fields: ClassVar[tuple[str, ...]]  # paths, as `plan_of` takes them
+
+    def __init__(self, *args: Any) -> None:
+        super().__init__(*args)
+        try:
+            self._plan = plan_of(self.message_type, self.fields)
+        except ValueError as error:
+            raise ConfigurationError(f"source '{self.name}': {error}") from error
+
+    def to_compile(self) -> Iterable[Job]:
+        """Return the reader."""
+        name = 'decode messages'
+        return [Job(name, name, 2.0, any_message.exercise, early=True)]
+
+    def _columns(self, messages: Sequence[bytes]) -> Columns:
+        (message,) = messages
+        return Columns(message, self._plan)
 
 
 def is_costly(part: Part) -> bool:

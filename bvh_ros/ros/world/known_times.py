@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from bvh_ros.ros.conversions.times import nanoseconds
+from bvh_ros.ros.conversions import nanoseconds
 from bvh_ros.ros.texts import seconds
 
 if TYPE_CHECKING:

@@ -24,7 +24,7 @@ from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray, UVCoordinate
 
 from bvh_ros.ros.cdr import definitions, marker_array, path, reading
-from bvh_ros.ros.conversions.times import nanoseconds
+from bvh_ros.ros.conversions import nanoseconds
 
 LONG = os.environ.get('BVH_ROS_LONG_TESTS') == '1'
 int32 = st.integers(-(2**31), 2**31 - 1)

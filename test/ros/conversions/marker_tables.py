@@ -6,7 +6,7 @@ import numpy as np
 from ros.conversions.generators import ended
 
 from bvh_ros.ros.conversions import markers as conversion
-from bvh_ros.ros.conversions.times import nanoseconds
+from bvh_ros.ros.conversions import nanoseconds
 
 
 def table(markers):

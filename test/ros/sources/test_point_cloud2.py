@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from ros.clouds import field, plain_cloud
 
-from bvh_ros.ros.conversions import point_cloud2
+from bvh_ros.ros.sources import point_cloud2
 
 
 def boxes_of(message, *, voxel):

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from ros.conversions.generators import ended
 
-from bvh_ros.ros.conversions import occupancy_grid
+from bvh_ros.ros.sources import occupancy_grid
 
 OPTIONS = {'occupied_at': 65, 'unknown_occupied': False, 'z_min': 0.0, 'z_max': 2.0, 'most': 1000}
 
