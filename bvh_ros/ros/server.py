@@ -14,7 +14,6 @@ from rclpy.validate_full_topic_name import validate_full_topic_name
 
 from bvh_ros.ros.compilation import Compilation
 from bvh_ros.ros.compile_jobs import Job, Needs, jobs, later_jobs, path_jobs
-from bvh_ros.ros.config import qos_overrides
 from bvh_ros.ros.config.parameters import (
     GROUPS,
     ConfigurationError,
@@ -22,11 +21,11 @@ from bvh_ros.ros.config.parameters import (
     read_settings,
     scan_settings,
 )
-from bvh_ros.ros.parts.diagnostics import Diagnostics, Maintenance
+from bvh_ros.ros.parts.diagnostics import Diagnostics, Maintenance, NamesPublisher
 from bvh_ros.ros.parts.drawing import QueryDrawing, SceneDrawing, TreeDrawing
-from bvh_ros.ros.parts.names import NamesPublisher
 from bvh_ros.ros.parts.readiness import OnDemand, Readiness
 from bvh_ros.ros.parts.services import QueryServices, TriggerServices
+from bvh_ros.ros.qos import check_overrides
 from bvh_ros.ros.sources import SOURCE_TYPES, create_source
 from bvh_ros.ros.texts import as_line, shortened
 from bvh_ros.ros.world.frames import Frames, listen_to_tf2
@@ -91,7 +90,7 @@ class BvhServer:
         try:
             self.world = self._create_world()
             self._check_scan()
-            qos_overrides.check(node, [*self._topics()])
+            check_overrides(node, [*self._topics()])
         except ConfigurationError:
             self.destroy()
             raise

@@ -245,7 +245,7 @@ def test_a_node_that_works_for_a_service_heeds_sigterm(
 
 BUSY = """
 import hashlib
-from bvh_ros.ros.spinning import Interrupts
+from bvh_ros.ros.node import Interrupts
 interrupts = Interrupts()
 print('busy', flush=True)
 hashlib.pbkdf2_hmac('sha256', b'', b'', 500_000_000)  # minutes in C, where Python hears nothing

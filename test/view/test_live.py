@@ -17,7 +17,7 @@ from visualization_msgs.msg import Marker, MarkerArray
 
 from bvh_ros.client import BvhClient
 from bvh_ros.ros import running
-from bvh_ros.ros.cdr.drawing import Drawing, marker_array
+from bvh_ros.ros.parts.drawing import Drawing, marker_array
 from bvh_ros.ros.parts.drawing import obstacles as drawn_obstacles
 from bvh_ros.ros.running import running_node, wait_until_ready
 from bvh_ros.scene import Mesh, ShapeKind, Shapes

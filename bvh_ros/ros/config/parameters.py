@@ -554,11 +554,16 @@ def _check_for_misspelt_options(node: Node, owners: Sequence[str]) -> None:
         owner = name.partition('.')[0]
         if name in declared or owner == 'qos_overrides':
             continue
-        near = difflib.get_close_matches(name, declared, 1)
-        hint = f"; did you mean '{near[0]}'?" if near else ''
+        meant = hint(name, declared)
         if owner in owners:
-            raise ConfigurationError(f"there is no parameter '{name}'{hint}")
-        node.get_logger().warning(f"parameter '{name}' is not one of this node{hint}")
+            raise ConfigurationError(f"there is no parameter '{name}'{meant}")
+        node.get_logger().warning(f"parameter '{name}' is not one of this node{meant}")
+
+
+def hint(name: str, known: Sequence[str]) -> str:
+    """Ask whether the most similar of these names is meant; '' if none is similar."""
+    near = difflib.get_close_matches(name, known, 1)
+    return f"; did you mean '{near[0]}'?" if near else ''
 
 
 def given_at_start(node: Node) -> dict[str, Any]:

@@ -21,8 +21,7 @@ from rclpy.qos import (
     qos_policy_name_from_kind,
 )
 
-from bvh_ros.ros.config.qos_overrides import OVERRIDABLE, overrides
-from bvh_ros.ros.qos import DEPTH, Delivery
+from bvh_ros.ros.qos import DEPTH, OVERRIDABLE, Delivery, overrides
 from bvh_ros.ros.texts import Seldom
 
 if TYPE_CHECKING:

@@ -12,9 +12,8 @@ from rclpy.serialization import deserialize_message
 from scipy.spatial.transform import Rotation
 from visualization_msgs.msg import Marker, MarkerArray
 
-from bvh_ros.ros.cdr.drawing import Drawing, marker_array
 from bvh_ros.ros.conversions import outlines
-from bvh_ros.ros.parts.drawing import obstacles, with_few_triangles
+from bvh_ros.ros.parts.drawing import Drawing, marker_array, obstacles, with_few_triangles
 from bvh_ros.scene import Mesh, NodeScene, ShapeKind, Shapes
 from bvh_ros.tree import DynamicBVH
 

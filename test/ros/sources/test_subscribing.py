@@ -21,6 +21,7 @@ from ros.patience import PATIENCE
 from visualization_msgs.msg import Marker, MarkerArray
 
 from bvh_ros.ros.access import DEPTH, Delivery
+from bvh_ros.ros.node import SturdyExecutor
 from bvh_ros.ros.sources import subscribing
 from bvh_ros.ros.sources.subscribing import (
     DELAY,
@@ -36,7 +37,6 @@ from bvh_ros.ros.sources.subscribing import (
     Numbering,
     Received,
 )
-from bvh_ros.ros.spinning import SturdyExecutor
 
 NEW = Heard(is_new=True)
 DEEP = QoSProfile(depth=DEPTH)
