@@ -13,8 +13,7 @@ print(client.names(hits.obstacles))
 """
 
 from bvh_ros.client.client import BvhClient
-from bvh_ros.client.messages import COMPILING, BvhError, BvhTimeoutError, Hit
-from bvh_ros.client.typed import Clearances, Sweeps
+from bvh_ros.client.messages import COMPILING, BvhError, BvhTimeoutError, Clearances, Hit, Sweeps
 from bvh_ros.ros.conversions.query_clouds import FREE, UNANSWERED, Hits, Near, PathHits, Touched
 
 __all__ = [

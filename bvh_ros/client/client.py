@@ -13,10 +13,9 @@ from numpy.typing import ArrayLike, NDArray
 from rclpy.node import Node
 from rclpy.task import Future
 
-from bvh_ros.client import messages, typed
-from bvh_ros.client.messages import UPRIGHT, Batch, Hit, length, place, request
+from bvh_ros.client import messages
+from bvh_ros.client.messages import UPRIGHT, Batch, Clearances, Hit, Sweeps, length, place, request
 from bvh_ros.client.node import OneNode
-from bvh_ros.client.typed import Clearances, Sweeps
 from bvh_ros.client.waiting import Waiting
 from bvh_ros.ros.conversions.query_clouds import (
     EVERYTHING,
@@ -477,7 +476,7 @@ class BvhClient:
             If an argument has the wrong form, or the client has several nodes.
         """
         node = self._only()
-        question = typed.clearances(shapes, max_distance, mask, signed, at, frame_id)
+        question = messages.clearances(shapes, max_distance, mask, signed, at, frame_id)
         clearances: Clearances = node.typed_answers(question, self._seconds(timeout))
         return clearances
 
@@ -521,7 +520,7 @@ class BvhClient:
             `obstacles`, `t` and `free_until` (n,), `points` and `normals` (n, 3).
         """
         node = self._only()
-        question = typed.sweeps(
+        question = messages.sweeps(
             *(shapes, goal_positions, goal_orientations, tolerance, mask, resolution),
             *(at, until, frame_id),
         )

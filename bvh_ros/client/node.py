@@ -26,8 +26,14 @@ from rclpy.time import Time
 from sensor_msgs.msg import PointCloud2
 
 from bvh_ros.client import messages
-from bvh_ros.client.messages import Batch, BvhError, BvhTimeoutError, Hit, NoRowAnsweredError
-from bvh_ros.client.typed import Typed
+from bvh_ros.client.messages import (
+    Batch,
+    BvhError,
+    BvhTimeoutError,
+    Hit,
+    NoRowAnsweredError,
+    Typed,
+)
 from bvh_ros.client.waiting import Patience, Question, Waiting, left
 from bvh_ros.ros.conversions import nanoseconds
 from bvh_ros.ros.conversions.query_clouds import (
