@@ -22,53 +22,6 @@ if TYPE_CHECKING:
 COPIED_AT_ONCE = 10_000  # obstacles, some 5 ms
 
 
-class Past:
-    """Keeps what was known when.
-
-    Parameters
-    ----------
-    changes : LargeChanges
-        Has the scene.
-    history : float
-        So much of the past (s) is kept; 0: nothing, and nothing is copied.
-    """
-
-    def __init__(self, changes: LargeChanges, history: float) -> None:
-        self._changes = changes
-        self._states: list[
-            tuple[int, NodeScene]
-        ] = []  # newest stamp included, ns, and what was known
-        self.length = round(history * 1e9)
-
-    def note(self, source: Source, now: int) -> Iterator[None]:
-        """Keep the scene as it is after a message of a source that came at `now` (ns on the node's
-        clock); forget what is too old. Pause while a large scene is copied.
-        """
-        scene = self._changes.visible
-        if not self.length or scene.interrupted:
-            return
-        if len(scene) < COPIED_AT_ONCE:
-            copy = scene.copy()
-        else:
-            copy = yield from self._changes.read(source, scene.copy)
-        stamp = min(copy.newest, now)  # no data are newer than now, whatever they say
-        if self._states and self._states[-1][0] >= stamp:
-            stamp = self._states.pop()[0]
-        self._states.append((stamp, copy))
-        # The last one before the time that is kept says what was known at its beginning.
-        before = [k for k, (one, _) in enumerate(self._states) if one <= stamp - self.length]
-        del self._states[: max(before, default=0)]
-
-    def forget(self) -> None:
-        """Forget all."""
-        self._states.clear()
-
-    def states(self) -> tuple[NDArray[np.int64], list[NodeScene]]:
-        """What was known, and since when (n,), ns; ascending."""
-        stamps = np.array([stamp for stamp, _ in self._states], np.int64)
-        return stamps, [scene for _, scene in self._states]
-
-
 # The times that a query may name: as much of the past as the node keeps, and then so far as it may
 # predict.
 #
@@ -102,8 +55,36 @@ class KnownTimes:
 
     def __init__(self, changes: LargeChanges, max_prediction: float, history: float) -> None:
         self._changes = changes
-        self.past = Past(changes, history)
-        self._ahead = round(max_prediction * 1e9)
+        self._states: list[tuple[int, NodeScene]] = []
+        """What was known, and since when, ns; ascending."""
+        self._ahead, self._length = round(max_prediction * 1e9), round(history * 1e9)
+
+    def note(self, source: Source, now: int) -> Iterator[None]:
+        """Keep the scene as it is after a message of a source that came at `now` (ns on the node's
+        clock); forget what is too old. Pause while a large scene is copied.
+        """
+        scene = self._changes.visible
+        if not self._length or scene.interrupted:
+            return
+        if len(scene) < COPIED_AT_ONCE:
+            copy = scene.copy()
+        else:
+            copy = yield from self._changes.read(source, scene.copy)
+        stamp = min(copy.newest, now)  # no data are newer than now, whatever they say
+        if self._states and self._states[-1][0] >= stamp:
+            stamp = self._states.pop()[0]
+        self._states.append((stamp, copy))
+        # The last one before the time that is kept says what was known at its beginning.
+        before = [k for k, (one, _) in enumerate(self._states) if one <= stamp - self._length]
+        del self._states[: max(before, default=0)]
+
+    def forget(self) -> None:
+        """Forget the past."""
+        self._states.clear()
+
+    def stamps(self) -> NDArray[np.int64]:
+        """Since when something was known that is kept, ns; ascending."""
+        return np.array([stamp for stamp, _ in self._states], np.int64)
 
     def require(self, span: Span, now: int) -> Span:
         """Return the span.
@@ -118,26 +99,25 @@ class KnownTimes:
         first, last = self._ends(now)
         stop = span.at if span.until is None else span.until
         if span.at < first:
-            length = self.past.length
+            late = seconds(first - span.at + self._length)
             raise ValueError(
-                f'the requested time is {seconds(first - span.at + length)} s before the newest '
-                f'data, more than history ({seconds(length)} s)'
+                f'the requested time is {late} s before the newest data, '
+                f'more than history ({seconds(self._length)} s)'
             )
         self.state(span.at, now)
         if stop > last:
-            ahead = self._ahead
+            early = seconds(stop - last + self._ahead)
             raise ValueError(
-                f'the requested time is {seconds(stop - last + ahead)} s after the newest data, '
-                f'more than max_prediction ({seconds(ahead)} s)'
+                f'the requested time is {early} s after the newest data, '
+                f'more than max_prediction ({seconds(self._ahead)} s)'
             )
         return span
 
     def states(self, at: NDArray[np.int64], now: int) -> tuple[list[NodeScene], NDArray[np.int64]]:
         """What was known at some time, and which of these at the times (n,); -1: not any more."""
-        stamps, states = self.past.states()
-        which = np.searchsorted(stamps, at, 'right') - 1
-        which[at >= self._newest(now)] = len(states)
-        return [*states, self._changes.visible], which
+        which = np.searchsorted(self.stamps(), at, 'right') - 1
+        which[at >= self._newest(now)] = len(self._states)
+        return [*(scene for _, scene in self._states), self._changes.visible], which
 
     def state(self, at: int, now: int) -> NodeScene:
         """What was known at a time; ValueError if it is not any more."""
@@ -162,7 +142,7 @@ class KnownTimes:
         if not self._changes.visible.newest:
             raise ValueError(NOTHING)
         newest = self._newest(now)
-        return newest - self.past.length, newest + self._ahead
+        return newest - self._length, newest + self._ahead
 
 
 def known_times(
@@ -173,7 +153,7 @@ def known_times(
         return None
     times = KnownTimes(changes, settings.max_prediction, settings.history)
     for source in sources:
-        source.on_applied = times.past.note
+        source.on_applied = times.note
         source.together = False  # each message is a time of its own
     return times
 

@@ -117,7 +117,7 @@ class World:
     def forget(self) -> None:
         """Forget the past."""
         if self.times is not None:
-            self.times.past.forget()
+            self.times.forget()
 
     def shift(self, by: int, now: int) -> None:
         """Follow the clock, which jumped by so many ns to `now`: ages and lives left stay. Moving

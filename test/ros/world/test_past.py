@@ -27,7 +27,7 @@ def told(times, scene, place, at, speed=None):
     box = Shapes.boxes([[place, 0, 0]], [1, 1, 1])
     speeds = None if speed is None else [[speed, 0, 0]]
     scene.replace('s', '', ['one'], box, stamp=NOW + at * TICK, velocities=speeds)
-    list(times.past.note(None, NOW + 100 * TICK))
+    list(times.note(None, NOW + 100 * TICK))
 
 
 def place_at(times, ticks, now=100):
@@ -52,15 +52,15 @@ def test_each_time_has_what_was_known_then():
     wanted = {19.9: None, 20: 20, 20.5: 20.5, 24.9: 24.9, 25: 25, 25.5: 25, 26: 26, 29.5: 29}
     wanted |= {30: 30, 40: 30, 40.1: None}
     assert {tick: place_at(times, tick) for tick in wanted} == wanted
-    stamps, _ = times.past.states()
+    stamps = times.stamps()
     assert (np.diff(stamps) > 0).all()
     assert stamps[0] == NOW + 20 * TICK  # no more than is needed
     # Late data belong to what is known since the newest.
     told(times, scene, 7.0, 28)
-    assert (np.diff(times.past.states()[0]) > 0).all()
+    assert (np.diff(times.stamps()) > 0).all()
     assert place_at(times, 29) == 29
     assert place_at(times, 30) == 7
-    times.past.forget()
+    times.forget()
     assert place_at(times, 29) is None
     assert place_at(times, 30) == 7
     told(times, scene, 8.0, 30)
@@ -75,10 +75,10 @@ def test_a_stamp_in_the_future_hides_nothing_that_is_told_later():
         if tick % 5 == 0:
             ahead = SECOND if tick else 3
             scene.update('map', ['map'], other, stamp=NOW + tick * TICK + ahead)
-            list(times.past.note(None, NOW + tick * TICK))
+            list(times.note(None, NOW + tick * TICK))
         box = Shapes.boxes([[tick, 0, 0]], [1, 1, 1])
         scene.replace('s', '', ['one'], box, stamp=NOW + tick * TICK)
-        list(times.past.note(None, NOW + tick * TICK + 1))
+        list(times.note(None, NOW + tick * TICK + 1))
     for tick in range(19):
         assert place_at(times, tick + 0.5, now=19) == tick
 
