@@ -52,6 +52,15 @@ def has_typed_services() -> bool:
     return spec is not None and spec.origin is not None  # else a folder of sources
 
 
+@contextlib.contextmanager
+def _refusing(what: str) -> Iterator[None]:
+    """Let a ConfigurationError say what a name or QoS that rclpy refuses is given by."""
+    try:
+        yield
+    except (RuntimeError, InvalidTopicNameException, ParameterException) as error:
+        raise ConfigurationError(f'{what}: {as_line(error)}') from error
+
+
 class Destroyable(Protocol):
     """All that the server asks of a part."""
 
@@ -140,12 +149,8 @@ class BvhServer:
         if not self._scan.pose_topic:
             return
         view_of_scan(self.world.views, self._scan.view)
-        try:
+        with _refusing("parameter 'virtual_scan.pose_topic'"):
             self.node.resolve_topic_name(self._scan.pose_topic)
-        except (RuntimeError, InvalidTopicNameException) as error:
-            raise ConfigurationError(
-                f"parameter 'virtual_scan.pose_topic': {as_line(error)}"
-            ) from error
 
     def _kinds(self) -> set[ShapeKind]:
         """Return the shapes that the sources can bring."""
@@ -264,14 +269,10 @@ class BvhServer:
         if self._scan.pose_topic:
             from bvh_ros.ros.parts.virtual_scan import VirtualScan
 
-            try:
-                yield VirtualScan(
-                    node, world, self._scan, view_of_scan(world.views, self._scan.view)
-                )
-            except (RuntimeError, InvalidTopicNameException, ParameterException) as error:
-                raise ConfigurationError(
-                    f"parameter 'virtual_scan.pose_topic': {as_line(error)}"
-                ) from error
+            view = view_of_scan(world.views, self._scan.view)
+            with _refusing("parameter 'virtual_scan.pose_topic'"):
+                scan = VirtualScan(node, world, self._scan, view)
+            yield scan
 
     def stop(self) -> None:
         """End all parts: no topic is heard and no service offered. The world stays as it is."""
@@ -325,12 +326,8 @@ class BvhServer:
         }
 
     def _create_source(self, settings: SourceSettings, scene: NodeScene, frames: Frames) -> Source:
-        try:
+        with _refusing(f"source '{settings.name}', parameter '{settings.name}.topic'"):
             self.node.resolve_topic_name(settings.topic)  # better known before compiling
-        except (RuntimeError, InvalidTopicNameException) as error:
-            raise ConfigurationError(
-                f"source '{settings.name}', parameter '{settings.name}.topic': {as_line(error)}"
-            ) from error
         return create_source(self.node, settings, scene, frames)
 
     def _create_views(self) -> list[View]:

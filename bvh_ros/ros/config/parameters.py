@@ -554,10 +554,10 @@ def _check_for_misspelt_options(node: Node, owners: Sequence[str]) -> None:
         owner = name.partition('.')[0]
         if name in declared or owner == 'qos_overrides':
             continue
-        meant = hint(name, declared)
+        question = hint(name, declared)
         if owner in owners:
-            raise ConfigurationError(f"there is no parameter '{name}'{meant}")
-        node.get_logger().warning(f"parameter '{name}' is not one of this node{meant}")
+            raise ConfigurationError(f"there is no parameter '{name}'{question}")
+        node.get_logger().warning(f"parameter '{name}' is not one of this node{question}")
 
 
 def hint(name: str, known: Sequence[str]) -> str:

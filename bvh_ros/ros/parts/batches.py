@@ -40,10 +40,10 @@ from bvh_ros.ros.conversions.query_clouds import (
     take,
     unanswered,
 )
-from bvh_ros.ros.parts.part import NodePart, Timings
+from bvh_ros.ros.parts.part import Answerer
 from bvh_ros.ros.qos import DEPTH, Delivery
 from bvh_ros.ros.sources.subscribing import FollowingSubscription
-from bvh_ros.ros.texts import Refused, explain
+from bvh_ros.ros.texts import why
 from bvh_ros.scene import NO_NODE
 from bvh_ros.scene.store import WAITS
 
@@ -232,7 +232,7 @@ class Pace:
         self._pieces[kind] = rows, time.monotonic()
 
 
-class Batch(NodePart):
+class Batch(Answerer):
     """Answers each message of questions by a cloud of answers, in the request's frame.
 
     A row that cannot be answered (NaN, infinite, negative), and each row of a message that cannot
@@ -259,13 +259,7 @@ class Batch(NodePart):
     message: type = PointCloud2
 
     def __init__(self, node: Node, world: World, view: View, kernels: OnDemand) -> None:
-        super().__init__(node)
-        self.view = view
-        self.refused = Refused(node.get_logger(), view.topic(self.question_topic))
-        self.what = f'{self.question_topic} of {view.name}' if view.name else self.question_topic
-        self.answered = 0  # rows
-        self.timings = Timings()
-        self._world = world
+        super().__init__(node, world, view, self.question_topic, view.topic(self.question_topic))
         self._kernels = kernels
         self._pace = Pace()
         # Questions that wait, the first begun: their bytes, and what answers them.
@@ -329,10 +323,8 @@ class Batch(NodePart):
             reply = yield from self._reply(request)
             self._finish(reply, request, serialised, began)
             return
-        except ValueError as error:
-            reason = str(error)
         except Exception as error:  # whatever went wrong, the way must not look free
-            reason = explain(error)
+            reason = why(error)
         # Not earlier: an error holds in memory whatever its function was working on.
         self._finish(self._refusal(request, reason), request, serialised, began)
 
@@ -370,7 +362,7 @@ class Batch(NodePart):
                 't0 and duration have no meaning: no source predicts, and there is no history'
             )
         given = moments.since, moments.durations, stamp
-        return spans_after(*given, self._world.times, self.node.get_clock().now().nanoseconds)
+        return spans_after(*given, self._world.times, self.now())
 
     def _refusal(self, request: Any, reason: str) -> PointCloud2:
         """Make the cloud that says that nothing is answered."""
@@ -382,11 +374,11 @@ class Batch(NodePart):
 
     def _reply(self, request: Any) -> Generator[None, None, PointCloud2]:
         """Make the cloud of answers, with pauses; ValueError if there can be none."""
-        self._now()
+        self._world.at(self.now())
         transform = self._world.frames.into_node(request.frame_id, request.stamp)
         questions = self._questions(request)
         yield from self._load(questions)
-        stamp = request.stamp or self.node.get_clock().now().nanoseconds
+        stamp = request.stamp or self.now()
         table = AnswerTable(self.answer, request.height, request.width, questions.real)
 
         def answer(piece: slice) -> None:
@@ -406,14 +398,11 @@ class Batch(NodePart):
         if questions.has_times:
             yield from self._kernels.load(self.needed_then)
 
-    def _now(self) -> NodeScene:
-        return self._world.at(self.node.get_clock().now().nanoseconds)
-
     def _answer(self, questions: Any, number: int, transform: Transform | None, stamp: int) -> Any:
         """Answers to some rows, the first of which has this number; `stamp` is that of the
         message, ns.
         """
-        scene = self._now()
+        scene = self._world.at(self.now())
         rows, good, reason, _ = given = checked(
             questions, number, transform, lambda rows: self._spans(rows, stamp)
         )
@@ -566,8 +555,7 @@ class PathBatch(Batch):
         stamps, times = moments.stamps, self._world.times
         if times is None or not stamps.any():
             return None
-        now = self.node.get_clock().now().nanoseconds
-        spans, timed = spans_between(stamps, stamps, times, now), stamps != 0
+        spans, timed = spans_between(stamps, stamps, times, self.now()), stamps != 0
         which = np.where(timed, spans.which, NOW)
         return spans._replace(which=which, unknown=spans.unknown & timed)
 
@@ -601,7 +589,7 @@ class SweepBatch(PathBatch):
         before, stamps, times = moments.before.stamps, moments.stamps, self._world.times
         if times is None or not (stamps.any() or before.any()):
             return None
-        now = self.node.get_clock().now().nanoseconds
+        now = self.now()
         begin, end = (np.where(moment != 0, moment, now) for moment in (before, stamps))
         timed, back = (stamps != 0) | (before != 0), end < begin
         spans = spans_between(begin, np.where(back, begin, end), times, now)

@@ -10,22 +10,21 @@ import struct
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.serialization import serialize_message
 
-from bvh_ros.ros.parts.part import NodePart, OnDemandPublisher
+from bvh_ros.ros.parts.part import Answerer, NodePart, OnDemandPublisher
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
     from rclpy.node import Node
 
-    from bvh_ros.ros.parts.part import Timings
     from bvh_ros.ros.parts.services import QueryServices
     from bvh_ros.ros.sources.source import Source
-    from bvh_ros.ros.texts import Refused
+    from bvh_ros.ros.texts import Timings
     from bvh_ros.ros.world.world import World
 
 SHARE = 0.01  # of the time may go into surveys
@@ -150,15 +149,6 @@ OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.E
 STOPPED = '/clock stands still: no lifetime ends, and no source grows older'
 
 
-class Answerer(Protocol):
-    """A part that answers batches."""
-
-    what: str
-    refused: Refused
-    answered: int  # rays
-    timings: Timings
-
-
 class Diagnostics(NodePart):
     """Publishes a status for the world, for the queries of each view and for each source.
 
@@ -239,8 +229,7 @@ class Diagnostics(NodePart):
         self, queries: QueryServices, visible: Mapping[str, int], problem: str
     ) -> DiagnosticStatus:
         refused, view = queries.refused, queries.view.name
-        name = f'queries of {view}' if view else 'queries'
-        level, text = self._refused_since(name, refused.count, refused.last)
+        level, text = self._refused_since(queries.what, refused.count, refused.last)
         if problem:
             what = 'only thin rays are' if problem == self._world.compiling else 'nothing is'
             level, text = ERROR, f'{what} answered: {problem}'
@@ -252,7 +241,7 @@ class Diagnostics(NodePart):
             'refused': refused.count,
             'last reason': refused.last,
         }
-        return self._status(name, level, text or nothing, values)
+        return self._status(queries.what, level, text or nothing, values)
 
     def _answerer_status(self, answerer: Answerer, problem: str) -> DiagnosticStatus:
         refused = answerer.refused

@@ -4,11 +4,9 @@
 
 from __future__ import annotations
 
-import math
 import time
 import warnings
 from abc import abstractmethod
-from collections import deque
 from collections.abc import Callable
 from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -18,58 +16,15 @@ from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.qos import DurabilityPolicy, QoSProfile
 
 from bvh_ros.ros.qos import REPEATED, REQUESTS
+from bvh_ros.ros.texts import Refused, Timings
 
 if TYPE_CHECKING:
     from rclpy.node import Node
     from rclpy.service import Service
     from rclpy.timer import Timer
 
-MOST = 4096  # durations kept between two looks; of more, the latest
-
-
-class Summary(NamedTuple):
-    """What happened since the last look."""
-
-    rate: float  # a second
-    median: float  # ms, NaN if nothing happened
-    p99: float  # ms
-    longest: float  # ms
-
-
-class Timings:
-    """Durations between two looks."""
-
-    def __init__(self) -> None:
-        self.durations: deque[int] = deque(maxlen=MOST)
-        self._count = 0
-        self._longest = 0
-        self._since = time.monotonic()
-
-    def add(self, began: int) -> None:
-        """Note that something that began at `began` (time.perf_counter_ns) is done."""
-        took = time.perf_counter_ns() - began
-        self.durations.append(took)
-        self._count += 1
-        self._longest = max(self._longest, took)
-
-    def look(self) -> Summary:
-        """Return what happened since the last look, and begin anew."""
-        now = time.monotonic()
-        rate = self._count / max(now - self._since, 1e-9)
-        ordered = sorted(self.durations)
-        median, p99 = (_quantile(ordered, share) for share in (0.5, 0.99))
-        summary = Summary(rate, median, p99, self._longest / 1e6 if ordered else float('nan'))
-        self.durations.clear()
-        self._count, self._longest, self._since = 0, 0, now
-        return summary
-
-
-def _quantile(ordered: list[int], share: float) -> float:
-    """The smallest duration (ms) that at least this share does not exceed."""
-    if not ordered:
-        return float('nan')
-    return ordered[max(0, math.ceil(share * len(ordered)) - 1)] / 1e6
-
+    from bvh_ros.ros.world.views import View
+    from bvh_ros.ros.world.world import World
 
 # Replies whose client is found late.
 
@@ -213,6 +168,48 @@ class NodePart:
         """Close what was opened, the last first. Doing so twice does nothing more."""
         while self._close:
             self._close.pop()()
+
+
+# A part that answers, and what diagnostics show of it.
+
+
+class Answerer(NodePart):
+    """Answers questions about a world.
+
+    Parameters
+    ----------
+    world : World
+        Checked for completeness before each answer.
+    view : View
+        What its answers show.
+    what : str
+        The questions, as diagnostics call them; with `of_view` those of a view by its name.
+    logged : str, optional
+        How the log calls them, if otherwise.
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        world: World,
+        view: View,
+        what: str,
+        logged: str = '',
+        *,
+        of_view: bool = True,
+    ) -> None:
+        super().__init__(node)
+        self.view = view
+        self.what = f'{what} of {view.name}' if of_view and view.name else what
+        self.refused = Refused(node.get_logger(), logged or self.what)
+        self.answered = 0  # rows
+        self.timings = Timings()
+        self._world = world
+        self._clock = node.get_clock()
+
+    def now(self) -> int:
+        """The time on the node's clock, ns."""
+        return int(self._clock.now().nanoseconds)
 
 
 # Topics that cost nothing without subscribers.

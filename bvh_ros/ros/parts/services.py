@@ -17,9 +17,9 @@ from std_srvs.srv import Trigger
 
 from bvh_ros.ros.compile_jobs import NEAREST, NEAREST_THEN
 from bvh_ros.ros.conversions import plans
-from bvh_ros.ros.parts.part import NodePart, Timings
+from bvh_ros.ros.parts.part import Answerer, NodePart
 from bvh_ros.ros.qos import repeated
-from bvh_ros.ros.texts import Refused, explain
+from bvh_ros.ros.texts import explain, why
 from bvh_ros.ros.world.known_times import NOW, Span, span_of
 from bvh_ros.ros.world.large_changes import PATIENCE
 from bvh_ros.scene import TooManyHitsError
@@ -38,7 +38,7 @@ Acting = Generator[None, None, str]  # pauses, and returns the reply
 Answer = Callable[['NodeScene', plans.Query, Span], 'Sequence[SceneHit]']
 
 
-class QueryServices(NodePart):
+class QueryServices(Answerer):
     """Answers `raycast`, `raycast_all`, `overlap` and `nearest` of a view, or says why it cannot.
 
     A request that cannot be answered never looks free: the reply holds one pose whose frame_id
@@ -59,15 +59,9 @@ class QueryServices(NodePart):
     def __init__(
         self, node: Node, world: World, view: View, drawing: QueryDrawing, kernels: OnDemand
     ) -> None:
-        super().__init__(node)
-        self.view = view
-        self.refused = Refused(
-            node.get_logger(), f"query of '{view.name}'" if view.name else 'query'
-        )
-        self.timings = Timings()
+        logged = f"query of '{view.name}'" if view.name else 'query'
+        super().__init__(node, world, view, 'queries', logged)
         self._replies = plans.Replies()
-        self._clock = node.get_clock()
-        self._world = world
         self._drawing = drawing
         self._kernels = kernels
         self._most, self._nearest_limit = world.settings.max_hits, world.settings.nearest_limit
@@ -116,7 +110,7 @@ class QueryServices(NodePart):
 
     def _reply(self, request: Any, response: Any, answer: Answer, oriented: bool) -> None:
         began = time.perf_counter_ns()
-        now = self._clock.now().nanoseconds
+        now = self.now()
         plan, frames = response.plan, self._world.frames
         try:
             span = self._span(request, answer, now)
@@ -138,10 +132,8 @@ class QueryServices(NodePart):
             return
         except TooManyHitsError as error:
             reason = f'{error} (max_hits): ask for a smaller part of the world'
-        except ValueError as error:
-            reason = str(error)
         except Exception as error:  # whatever went wrong, the way must not look free
-            reason = explain(error)
+            reason = why(error)
         if reason != self._world.compiling:  # that is logged as progress
             self.refused.add(reason)
         plans.fill_error(plan, request, reason, frames.frame_id, now)

@@ -36,10 +36,10 @@ from bvh_ros.ros.conversions.query_clouds import (
     take,
 )
 from bvh_ros.ros.parts.batches import Pace, Spans, checked, near, prepare, spans_after
-from bvh_ros.ros.parts.part import NodePart, Timings
+from bvh_ros.ros.parts.part import Answerer
 from bvh_ros.ros.parts.services import in_turns
 from bvh_ros.ros.qos import repeated
-from bvh_ros.ros.texts import Refused, explain
+from bvh_ros.ros.texts import explain
 from bvh_ros.ros.world.world import CompilingError, IncompleteWorldError
 from bvh_ros.scene import NO_NODE, ShapeKind, TooManyHitsError, unchecked_shapes
 
@@ -197,7 +197,7 @@ class Question(NamedTuple):
         return [*self.kernels, *(self.timed if is_timed else ())]
 
 
-class TypedServices(NodePart):
+class TypedServices(Answerer):
     """Answers `query/raycast`, `overlap`, `nearest`, `clearance` and `sweep` of a view, by rows.
 
     Parameters
@@ -211,13 +211,7 @@ class TypedServices(NodePart):
     """
 
     def __init__(self, node: Node, world: World, view: View, kernels: OnDemand) -> None:
-        super().__init__(node)
-        self.view = view
-        self.what = f'typed query of {view.name}' if view.name else 'typed query'
-        self.refused = Refused(node.get_logger(), self.what)
-        self.timings = Timings()
-        self.answered = 0  # rows
-        self._world = world
+        super().__init__(node, world, view, 'typed query')
         self._kernels = kernels
         settings = world.settings
         self._limit, self._threads = settings.max_hits, settings.threads_for
@@ -297,7 +291,7 @@ class TypedServices(NodePart):
                 'departures and durations have no meaning: no source predicts, and there is no '
                 'history'
             )
-        begin = stamp or self.node.get_clock().now().nanoseconds
+        begin = stamp or self.now()
         needs = question.needs(request, rows.since is not None)
         for name in needs:
             yield from self._kernels.load(name)
@@ -309,12 +303,10 @@ class TypedServices(NodePart):
         def spans_of(some: Any) -> Spans | None:
             if times is None or some.since is None:
                 return None
-            now = self.node.get_clock().now().nanoseconds
-            return spans_after(some.since, some.durations, begin, times, now)
+            return spans_after(some.since, some.durations, begin, times, self.now())
 
         def answer(piece: slice) -> None:
-            now = self.node.get_clock().now().nanoseconds
-            scene = world.at(now)
+            scene = world.at(self.now())
             given = checked(take(rows, piece), piece.start, transform, spans_of)
             numbers = np.arange(piece.start, piece.start + len(given.good))
             bad = numbers[~given.good]
@@ -336,7 +328,7 @@ class TypedServices(NodePart):
         kind = question.kind, *needs, rows.since is not None, every
         yield from self._pace.answer(kind, count, answer)
         if not count:  # an incomplete world is no answer even to nothing
-            world.at(self.node.get_clock().now().nanoseconds)
+            world.at(self.now())
         answers = merged(count, parts)
         if transform is not None:
             answers = back(transform, answers)

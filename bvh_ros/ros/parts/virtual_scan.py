@@ -24,10 +24,10 @@ from bvh_ros.ros.conversions.query_clouds import (
     answers_cloud,
     unanswered,
 )
-from bvh_ros.ros.parts.part import NodePart, Timings
+from bvh_ros.ros.parts.part import Answerer
 from bvh_ros.ros.qos import Delivery
 from bvh_ros.ros.sources.subscribing import FollowingSubscription
-from bvh_ros.ros.texts import Refused, explain
+from bvh_ros.ros.texts import why
 from bvh_ros.ros.world.frames import Transform
 
 if TYPE_CHECKING:
@@ -95,7 +95,7 @@ DEPTH = 5
 QOS_PERIOD = 1.0  # seconds
 
 
-class VirtualScan(NodePart):
+class VirtualScan(Answerer):
     """Publishes a LaserScan or a PointCloud2 for each pose, or at a rate from the newest pose.
 
     The pose is a PoseStamped: it says in which frame it is, needs no velocity or covariance as
@@ -110,14 +110,8 @@ class VirtualScan(NodePart):
     """
 
     def __init__(self, node: Node, world: World, settings: ScanSettings, view: View) -> None:
-        super().__init__(node)
-        self.what = 'virtual scan'
-        self.refused = Refused(node.get_logger(), self.what)
-        self.answered = 0  # rays
-        self.timings = Timings()
-        self._world = world
+        super().__init__(node, world, view, 'virtual scan', of_view=False)
         self._settings = settings
-        self._view = view
         self._pattern = pattern(settings)
         self._pose: PoseStamped | None = None
         kind = LaserScan if settings.type == LASER_SCAN else PointCloud2
@@ -153,10 +147,8 @@ class VirtualScan(NodePart):
             place = self._place(pose)
             hits = self._measure(self._world.at(now.nanoseconds), place)
             self.answered += len(hits.t)
-        except ValueError as error:
-            reason = str(error)
         except Exception as error:  # whatever went wrong, the way must not look free
-            reason = explain(error)
+            reason = why(error)
         if reason:
             self.refused.add(reason, len(hits.t))
         scan = self._message(hits, place)
@@ -184,7 +176,7 @@ class VirtualScan(NodePart):
     def _measure(self, scene: NodeScene, place: Transform) -> Hits:
         directions = place.vectors(self._pattern.directions)
         origins = np.tile(place.translation, (len(directions), 1))
-        view, settings = self._view, self._settings
+        view, settings = self.view, self._settings
         return Hits(
             *scene.raycast_many(
                 *(origins, directions, settings.range_max, view.mask, view.skip_inside),

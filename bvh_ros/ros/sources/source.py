@@ -22,10 +22,9 @@ from bvh_ros.ros.cdr.any_message import Columns, plan_of
 from bvh_ros.ros.compile_jobs import Job
 from bvh_ros.ros.config.parameters import ConfigurationError
 from bvh_ros.ros.conversions.placing import moved
-from bvh_ros.ros.parts.part import Timings
 from bvh_ros.ros.qos import DEPTH, Delivery
 from bvh_ros.ros.sources.subscribing import Completeness, FollowingSubscription, Heard
-from bvh_ros.ros.texts import Refused, explain, shortened
+from bvh_ros.ros.texts import Refused, Timings, shortened, why
 from bvh_ros.ros.world.large_changes import LargeChanges
 from bvh_ros.scene import Numbered, Part, Refusal, Refusals, ShapeKind, Shapes
 from bvh_ros.scene.slicing import AT_ONCE
@@ -220,10 +219,8 @@ class Source(ABC):
                 if self.is_whole:
                     self.completeness.note_all_known()
             return
-        except ValueError as error:
-            reason = str(error)
         except Exception as error:  # a fault of ours must not silence the other sources
-            reason = explain(error)
+            reason = why(error)
         # Not earlier: an error holds in memory whatever its function was working on.
         if alone:
             self.refused.add(reason)

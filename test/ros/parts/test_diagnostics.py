@@ -11,7 +11,7 @@ pytest.importorskip('rclpy', reason='rclpy is not installed', exc_type=ImportErr
 
 from bvh_ros import DynamicBVH
 from bvh_ros.ros.parts import diagnostics
-from bvh_ros.ros.parts.part import MOST, Timings
+from bvh_ros.ros.texts import MOST, Timings
 from bvh_ros.ros.world.large_changes import LargeChanges
 from bvh_ros.ros.world.views import WHOLE
 from bvh_ros.ros.world.world import IncompleteWorldError, World
