@@ -309,10 +309,10 @@ def path_jobs(needs: Needs, *, meshes: bool = False, between: bool = False) -> l
     """Return what paths need: compiled at the start, where there is a footprint. `meshes`: that is
     a polygon; `between`: poses are connected by sweeps.
     """
-    calls = [('paths of polygons', 20.0, _polygons) if meshes else ('paths', 20.0, _paths)]
+    calls = [('paths of polygons' if meshes else 'paths', 20.0, partial(_paths, polygon=meshes))]
     if between:
         name = 'sweeps of polygons' if meshes else SWEEPS
-        calls.append((name, 20.0, _polygon_sweeps if meshes else _sweeps))
+        calls.append((name, 20.0, partial(_sweeps, polygon=meshes)))
     return _named(calls, needs)
 
 
@@ -361,31 +361,20 @@ def _points(needs: Needs) -> None:
         scene.nearest_many([START] * 1000)  # answered in the order of neighbours
 
 
-def _paths(needs: Needs) -> None:
+def _paths(needs: Needs, polygon: bool = False) -> None:
     path.read(path.EMPTY)
     for scene in scenes(needs):
-        scene.clearance_many(Shapes.boxes([START], EDGE, [ABOUT_Z]), signed=True)
+        scene.clearance_many(_footprint(polygon), signed=True)
 
 
-def _polygons(needs: Needs) -> None:
-    path.read(path.EMPTY)
-    for scene in scenes(needs):
-        scene.clearance_many(_prism(), signed=True)
+def _footprint(polygon: bool) -> Shapes:
+    if polygon:
+        return Shapes.of_meshes([Mesh(TETRAHEDRON)], [START])
+    return Shapes.boxes([START], EDGE, [ABOUT_Z])
 
 
-def _prism() -> Shapes:
-    return Shapes.of_meshes([Mesh(TETRAHEDRON)], [START])
-
-
-def _sweeps(needs: Needs) -> None:
-    _sweep(needs, Shapes.boxes([START], EDGE))
-
-
-def _polygon_sweeps(needs: Needs) -> None:
-    _sweep(needs, _prism())
-
-
-def _sweep(needs: Needs, shape: Shapes) -> None:
+def _sweeps(needs: Needs, polygon: bool = False) -> None:
+    shape = _footprint(polygon)
     for scene in _moving_scenes(needs) if needs.moving else scenes(needs):
         given = shape, [START], [ABOUT_Z], [FAR], [TURNED]
         scene.sweep_shape_many(*given)

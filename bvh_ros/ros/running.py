@@ -11,10 +11,10 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import IO
+from typing import IO, Any
 
 import rclpy
 from rclpy.signals import SignalHandlerOptions
@@ -75,17 +75,8 @@ def running_node(
         file.write_text(json.dumps({'/**': {'ros__parameters': dict(parameters or {})}}))
         command = [sys.executable, '-m', 'bvh_ros.ros.node', '--ros-args']
         command += ['-r', f'__ns:={namespace}', '--params-file', str(file)]
-        process = None
-        try:
-            with signals_waiting():
-                # A session of its own: Ctrl-C reaches us alone, and we end the node.
-                process = subprocess.Popen(
-                    command, env=environment, stdout=log, stderr=log, start_new_session=True
-                )
+        with started(command, env=environment, stdout=log, stderr=log) as process:
             yield process
-        finally:
-            if process is not None:
-                end(process)
 
 
 @contextmanager
@@ -111,6 +102,19 @@ def served(
             yield client, process
     finally:
         rclpy.try_shutdown()
+
+
+@contextmanager
+def started(command: Sequence[str], **given: Any) -> Iterator[subprocess.Popen[bytes]]:
+    """Run a command in a session of its own: Ctrl-C reaches us alone, and we end it."""
+    process = None
+    try:
+        with signals_waiting():
+            process = subprocess.Popen(command, start_new_session=True, **given)
+        yield process
+    finally:
+        if process is not None:
+            end(process)
 
 
 @contextmanager

@@ -143,24 +143,17 @@ def running_view(name: str) -> Iterator[str]:
     RuntimeError
         Without viser, or if the view does not start.
     """
-    from bvh_ros.ros.running import end, signals_waiting
+    from bvh_ros.ros.running import started
 
     if importlib.util.find_spec('viser') is None:
         raise RuntimeError(GET_IT)
     command = [sys.executable, '-m', 'bvh_ros.view.main', name]
-    process = None
-    try:
-        with signals_waiting():
-            # A session of its own: Ctrl-C reaches us alone, and we end it.
-            process = subprocess.Popen(command, stdout=subprocess.PIPE, start_new_session=True)
+    with started(command, stdout=subprocess.PIPE) as process:
         assert process.stdout is not None
         address = process.stdout.readline().decode().partition('http://')[2].strip()
         if not address:
             raise RuntimeError('the view did not start')
         yield f'http://{address}'
-    finally:
-        if process is not None:
-            end(process)
 
 
 if __name__ == '__main__':

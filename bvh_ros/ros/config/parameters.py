@@ -84,12 +84,9 @@ def _checked(name: str, option: Option, value: Any) -> Any:
     else:
         good, wanted = isinstance(value, str), 'a string'
     if not good:
-        raise ConfigurationError(f"parameter '{name}' must be {wanted}, not {_shown(value)}")
+        raise _must_be(name, wanted, value)
     if option.choices and value not in option.choices:
-        choices = ', '.join(option.choices)
-        raise ConfigurationError(
-            f"parameter '{name}' must be one of {choices}, not {_shown(value)}"
-        )
+        raise _must_be(name, f'one of {", ".join(option.choices)}', value)
     # An integer given for a double escapes rclpy's own range check, and so does NaN.
     if _is_number(value, (int, float)) and not option.minimum <= value <= option.maximum:
         raise _out_of_range(name, option)
@@ -103,16 +100,16 @@ def _checked_list(name: str, default: Sequence[object], value: Any) -> list[Any]
         good = _is_limit if unlimited else _is_finite
         if items is not None and all(good(item) for item in items):
             return [float(item) for item in items]
-        wanted = 'numbers' if unlimited else 'finite numbers'
-        raise ConfigurationError(f"parameter '{name}' must be {wanted}, not {_shown(value)}")
+        raise _must_be(name, 'numbers' if unlimited else 'finite numbers', value)
     if items is not None and all(isinstance(item, str) for item in items):
         # YAML cannot say "an empty list of strings" other than ['']
         return [item for item in items if item]
-    raise ConfigurationError(f"parameter '{name}' must be a list of strings, not {_shown(value)}")
+    raise _must_be(name, 'a list of strings', value)
 
 
-def _shown(value: Any) -> str:
-    return shortened(repr(value))
+def _must_be(name: str, wanted: str, value: Any) -> ConfigurationError:
+    shown = shortened(repr(value))
+    return ConfigurationError(f"parameter '{name}' must be {wanted}, not {shown}")
 
 
 def _out_of_range(name: str, option: Option) -> ConfigurationError:
