@@ -291,11 +291,8 @@ class Topics:
         self.overlay = self.overlay._replace(scan=points[np.isfinite(points).all(axis=1)])
 
     def _place_of(self, stamped: PoseStamped) -> Transform:
-        at, turn = stamped.pose.position, stamped.pose.orientation
-        place = Transform(
-            np.array((at.x, at.y, at.z)), rotations.normalised((turn.x, turn.y, turn.z, turn.w))
-        )
-        header = stamped.header
+        header, pose = stamped.header, stamped.pose
+        place = Transform.of(pose.position, pose.orientation)
         into = self._frames.into_node(header.frame_id, nanoseconds(header.stamp))
         return place if into is None else into.after(place)
 

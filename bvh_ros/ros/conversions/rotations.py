@@ -9,6 +9,7 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from bvh_ros.scene.shapes.shape import unit_quaternions
 from bvh_ros.tree.access import checks
 
 Quaternion = tuple[float, float, float, float]
@@ -26,13 +27,8 @@ def normalised(quaternions: ArrayLike) -> NDArray[np.float64]:
         x, y, z, w; NaN and infinity stay NaN, for the caller to refuse.
     """
     q = np.array(quaternions, dtype=np.float64)
-    # Scaled by the largest component first: the squares of tiny and huge ones do not fit.
-    largest = np.abs(q).max(axis=-1, keepdims=True)
-    zero = largest == 0.0
     with np.errstate(invalid='ignore'):
-        q = np.where(zero, IDENTITY, q / np.where(zero, 1.0, largest))
-        unit: NDArray[np.float64] = q / np.linalg.norm(q, axis=-1, keepdims=True)
-    return unit
+        return unit_quaternions(q.reshape(-1, 4)).reshape(q.shape)
 
 
 def normalised_if_near(quaternions: ArrayLike) -> NDArray[np.float64]:

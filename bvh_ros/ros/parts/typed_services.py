@@ -53,7 +53,6 @@ if TYPE_CHECKING:
     from bvh_ros.scene import NodeScene
 
 STATUS = Raycast.Response
-MANY_NAMES = 8
 
 
 class ShapeRows(NamedTuple):
@@ -319,7 +318,8 @@ class TypedServices(Answerer):
                 these_rows = take(given.rows, these)._replace(masks=masks)
                 found = question.ask(state, request, these_rows, at, until, limit)
                 if request.with_names:
-                    found.numbers['names'] = names_of(state, found.obstacles)
+                    names = state.names_of(found.obstacles)
+                    found.numbers['names'] = np.where(found.obstacles == NO_NODE, '', names)
                 parts.append((numbers[these], found))
 
         rays = count if isinstance(rows, Rays) else 0
@@ -471,27 +471,54 @@ def rows_of(request: Any) -> int:
 PLACES = 'starts', 'centers', 'points', 'positions'
 
 
-def _column(request: Any, name: str, count: int, width: int = 1, kind: Any = np.float64) -> Any:
-    """Values of each row, (count,) or (count, width); None if the request has none."""
-    values = np.array(getattr(request, name), kind)
-    if not len(values):
-        return None
-    if len(values) not in (width, width * count):
-        raise ValueError(
-            f'{name} has {len(values)} values: {width} for all rows, or {width * count} for '
-            f'{count} rows are needed'
-        )
-    shape = (count, width) if width > 1 else (count,)
-    return np.ascontiguousarray(np.broadcast_to(values.reshape(-1, *shape[1:]), shape))
+class Column(NamedTuple):
+    """A field of requests with values of each row, or one value for all rows."""
+
+    field: str
+    width: int = 1  # numbers a row
+    default: Any = None  # where the request has no values; None: rows have none then, either
+    kind: Any = np.float64
+    needed: bool = False  # requests with rows have values
+
+    def read(self, request: Any, count: int) -> Any:
+        """Return values (count,) or (count, width); ValueError if they belong to other rows."""
+        values, width = np.array(getattr(request, self.field), self.kind), self.width
+        shape = (count, width) if width > 1 else (count,)
+        if len(values) not in (0, width, width * count):
+            raise ValueError(
+                f'{self.field} has {len(values)} values: {width} for all rows, or {width * count} '
+                f'for {count} rows are needed'
+            )
+        if not len(values):
+            if self.needed and count:
+                raise ValueError(f'{self.field} is empty')
+            return None if self.default is None else np.full(shape, self.default, self.kind)
+        return np.ascontiguousarray(np.broadcast_to(values.reshape(-1, *shape[1:]), shape))
 
 
-def _needed(request: Any, name: str, count: int, width: int = 1, kind: Any = np.float64) -> Any:
-    values = _column(request, name, count, width, kind)
-    if values is None:
-        if count:
-            raise ValueError(f'{name} is empty')
-        values = np.zeros((0, width) if width > 1 else 0, kind)
-    return values
+COLUMNS = {
+    'kinds': Column('kinds', 1, 0, np.uint8, needed=True),
+    'sizes': Column('sizes', 3, 0.0, needed=True),
+    'turns': Column('orientations', 4, 0.0),
+    'goal_turns': Column('goal_orientations', 4),
+    'radii': Column('radii'),
+    'tolerances': Column('tolerances', 1, 0.0),
+    'reaches': Column('max_distances', 1, np.inf),
+    'since': Column('departures'),
+    'durations': Column('durations'),
+    'masks': Column('masks', 1, EVERYTHING, np.uint32),
+}
+"""By fields of the rows."""
+
+
+def _rows(kind: Any, request: Any, count: int, **given: Any) -> Any:
+    """Return rows of a kind with the columns that are given, and those of the request."""
+    for name in kind._fields:
+        if name not in given:
+            given[name] = COLUMNS[name].read(request, count)
+    if given.get('durations') is not None and given['since'] is None:
+        given['since'] = np.zeros(count)
+    return kind(**given)
 
 
 def _places(request: Any, name: str) -> Floats:
@@ -501,85 +528,45 @@ def _places(request: Any, name: str) -> Floats:
     return values.reshape(-1, 3)
 
 
-def _masks(request: Any, count: int) -> Masks:
-    masks = _column(request, 'masks', count, kind=np.uint32)
-    return np.full(count, EVERYTHING, np.uint32) if masks is None else masks
+def _both(request: Any, name: str, other: str) -> tuple[Floats, Floats]:
+    """As many places of the one as of the other."""
+    places, others = _places(request, name), _places(request, other)
+    if len(others) != len(places):
+        raise ValueError(f'there are {len(places)} {name} and {len(others)} {other}')
+    return places, others
 
 
-def _otherwise(values: Floats | None, count: int, value: float) -> Floats:
-    return np.full(count, value) if values is None else values
-
-
-def _turns(request: Any, count: int, name: str = 'orientations') -> Floats:
-    turns = _column(request, name, count, 4)
-    return np.zeros((count, 4)) if turns is None else turns
-
-
-def _rays(request: Any) -> Rays:
-    starts, goals = _places(request, 'starts'), _places(request, 'goals')
-    count = len(starts)
-    if len(goals) != count:
-        raise ValueError(f'there are {count} starts and {len(goals)} goals')
-    radii, since, durations = (
-        _column(request, name, count) for name in ('radii', 'departures', 'durations')
-    )
-    if durations is not None and since is None:
-        since = np.zeros(count)
+def _rays(request: Any) -> Any:
+    starts, goals = _both(request, 'starts', 'goals')
     with np.errstate(over='ignore', invalid='ignore'):  # such rows are refused
         directions = goals - starts
-    masks, real = _masks(request, count), np.dtype(np.float64)
-    return Rays(starts, directions, np.ones(count), masks, real, radii, since, durations)
+    given = {'origins': starts, 'directions': directions, 't_max': np.ones(len(starts))}
+    return _rows(Rays, request, len(starts), **given, real=np.dtype(np.float64))
 
 
-def _boxes(request: Any) -> Boxes:
+def _boxes(request: Any) -> Any:
     places = _places(request, 'centers')
-    count = len(places)
-    sizes, turns = _needed(request, 'sizes', count, 3), _turns(request, count)
-    tolerances = _otherwise(_column(request, 'tolerances', count), count, 0.0)
-    since = _column(request, 'departures', count)
-    return Boxes(places, sizes, turns, tolerances, _masks(request, count), since)
+    return _rows(Boxes, request, len(places), places=places)
 
 
-def _points(request: Any) -> Points:
+def _points(request: Any) -> Any:
     places = _places(request, 'points')
-    count = len(places)
     if not request.limit:
         raise ValueError('limit is 0: at least 1 obstacle of a row is needed')
-    reaches = _otherwise(_column(request, 'max_distances', count), count, np.inf)
-    since = _column(request, 'departures', count)
-    return Points(places, reaches, _masks(request, count), since)
+    return _rows(Points, request, len(places), places=places)
 
 
-def _shapes(request: Any) -> ShapeRows:
+def _shapes(request: Any) -> Any:
     places = _places(request, 'positions')
-    count = len(places)
-    kinds = _needed(request, 'kinds', count, kind=np.uint8)
-    sizes, turns = _needed(request, 'sizes', count, 3), _turns(request, count)
-    reaches = _otherwise(_column(request, 'max_distances', count), count, np.inf)
-    masks, since = _masks(request, count), _column(request, 'departures', count)
-    return ShapeRows(kinds, places, sizes, turns, reaches, masks, since)
+    return _rows(ShapeRows, request, len(places), places=places)
 
 
-def _swept_shapes(request: Any) -> SweepRows:
-    places, goals = _places(request, 'positions'), _places(request, 'goal_positions')
-    count = len(places)
-    if len(goals) != count:
-        raise ValueError(f'there are {count} positions and {len(goals)} goal_positions')
+def _swept_shapes(request: Any) -> Any:
+    places, goals = _both(request, 'positions', 'goal_positions')
     if not 0.0 < request.resolution < np.inf:
         raise ValueError(f'resolution must be finite and above 0, not {request.resolution:g}')
-    kinds = _needed(request, 'kinds', count, kind=np.uint8)
-    sizes, turns = _needed(request, 'sizes', count, 3), _turns(request, count)
-    goal_turns = turns
-    if len(request.goal_orientations):
-        goal_turns = _turns(request, count, 'goal_orientations')
-    tolerances = _otherwise(_column(request, 'tolerances', count), count, 0.0)
-    since, durations = (_column(request, name, count) for name in ('departures', 'durations'))
-    if durations is not None and since is None:
-        since = np.zeros(count)
-    masks = _masks(request, count)
-    return SweepRows(
-        *(kinds, places, sizes, turns, goals, goal_turns, tolerances, masks, since, durations)
-    )
+    rows = _rows(SweepRows, request, len(places), places=places, goals=goals)
+    return rows if rows.goal_turns is not None else rows._replace(goal_turns=rows.turns)
 
 
 # Rows, and the answers to them.
@@ -660,16 +647,3 @@ def _packed(code: str, values: NDArray[Any]) -> array[Any]:
     packed = array(code)
     packed.frombytes(np.ascontiguousarray(values).tobytes())
     return packed
-
-
-def names_of(scene: NodeScene, obstacles: Masks) -> NDArray[np.object_]:
-    """Names of handles (m,), empty where there is no obstacle."""
-    handles, where = np.unique(obstacles, return_inverse=True)
-    wanted = handles[handles < UNANSWERED].astype(np.int64)  # and NO_NODE is above it
-    names: dict[int, str] = {}
-    if len(wanted) >= MANY_NAMES:  # a single name takes one look at all handles
-        known, numbers = scene.newcomers(int(wanted[0]) - 1)
-        places = np.flatnonzero(np.isin(known, wanted))
-        names = dict(scene.names_still_there(known[places], numbers[places]))
-    found = [names.get(handle) or scene.name_of(handle) for handle in wanted.tolist()]
-    return np.array([*found, *[''] * (len(handles) - len(wanted))], object)[where]

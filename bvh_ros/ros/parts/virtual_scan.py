@@ -159,19 +159,15 @@ class VirtualScan(Answerer):
 
     def _place(self, stamped: PoseStamped) -> Transform:
         """Return the way from the scanner's frame into the node's."""
-        at, turn = stamped.pose.position, stamped.pose.orientation
-        position = np.array((at.x, at.y, at.z))
-        given = turn.x, turn.y, turn.z, turn.w
-        if rotations.are_off(given):
+        header, turn = stamped.header, stamped.pose.orientation
+        if rotations.are_off((turn.x, turn.y, turn.z, turn.w)):
             raise ValueError('the length of the orientation is neither 1 nor 0')
-        orientation = rotations.normalised(given)
-        header = stamped.header
-        transform = self._world.frames.into_node(header.frame_id, nanoseconds(header.stamp))
-        if transform is not None:
-            position, orientation = transform.points(position), transform.orientations(orientation)
-        if not (np.isfinite(position).all() and np.isfinite(orientation).all()):
+        place = Transform.of(stamped.pose.position, turn)
+        into_node = self._world.frames.into_node(header.frame_id, nanoseconds(header.stamp))
+        place = place if into_node is None else into_node.after(place)
+        if not np.isfinite(np.hstack(place)).all():
             raise ValueError('the pose is not finite')
-        return Transform(position, orientation)
+        return place
 
     def _measure(self, scene: NodeScene, place: Transform) -> Hits:
         directions = place.vectors(self._pattern.directions)

@@ -5,7 +5,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -28,6 +28,12 @@ class Transform(NamedTuple):
 
     translation: NDArray[np.float64]  # (3,) metres
     rotation: NDArray[np.float64]  # (4,) unit quaternion x, y, z, w
+
+    @classmethod
+    def of(cls, place: Any, turn: Any) -> Transform:
+        """The motion to a Point or Vector3, with a Quaternion, of messages."""
+        quaternion = rotations.normalised((turn.x, turn.y, turn.z, turn.w))
+        return cls(np.array((place.x, place.y, place.z)), quaternion)
 
     def points(self, points: ArrayLike) -> NDArray[np.float64]:
         """Return (..., 3) points in the node's frame."""
@@ -166,11 +172,7 @@ class Tf2:
                 f"no transform from '{shortened(source)}' to '{shortened(target)}': "
                 f'{as_line(error)}'
             ) from error
-        move, turn = found.transform.translation, found.transform.rotation
-        return Transform(
-            np.array((move.x, move.y, move.z)),
-            rotations.normalised((turn.x, turn.y, turn.z, turn.w)),
-        )
+        return Transform.of(found.transform.translation, found.transform.rotation)
 
     def destroy(self) -> None:
         """Listen no longer."""
