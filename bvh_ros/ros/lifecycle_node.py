@@ -19,8 +19,8 @@ import sys
 from lifecycle_msgs.srv import ChangeState
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 
-from bvh_ros.ros.config.parameters import ConfigurationError
 from bvh_ros.ros.node import run
+from bvh_ros.ros.parameters import ConfigurationError
 from bvh_ros.ros.private_rclpy import RCLError
 from bvh_ros.ros.server import BvhServer
 from bvh_ros.ros.texts import as_line

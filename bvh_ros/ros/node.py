@@ -29,7 +29,7 @@ from rclpy.timer import Timer
 from rclpy.utilities import remove_ros_args
 
 from bvh_ros.ros.compilation import prepare
-from bvh_ros.ros.config.parameters import ConfigurationError
+from bvh_ros.ros.parameters import ConfigurationError
 from bvh_ros.ros.private_rclpy import RCLError, UnknownROSArgsError, guard_taking, spin_once
 from bvh_ros.ros.server import BvhServer
 from bvh_ros.ros.texts import Seldom, as_line, explain

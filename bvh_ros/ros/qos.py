@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from rclpy.qos import QoSPolicyKind, QoSProfile, ReliabilityPolicy
 from rclpy.qos_overriding_options import QoSOverridingOptions
 
-from bvh_ros.ros.config.parameters import ConfigurationError, given_at_start, hint
+from bvh_ros.ros.parameters import ConfigurationError, given_at_start, hint
 
 if TYPE_CHECKING:
     from rclpy.node import Node

@@ -14,7 +14,7 @@ from rclpy.validate_full_topic_name import validate_full_topic_name
 
 from bvh_ros.ros.compilation import Compilation
 from bvh_ros.ros.compile_jobs import Job, Needs, jobs, later_jobs, path_jobs
-from bvh_ros.ros.config.parameters import (
+from bvh_ros.ros.parameters import (
     GROUPS,
     ConfigurationError,
     draw_settings,
@@ -38,7 +38,7 @@ from bvh_ros.scene import AS_CONVEX, NodeScene, ShapeKind
 if TYPE_CHECKING:
     from rclpy.node import Node
 
-    from bvh_ros.ros.config.parameters import SourceSettings
+    from bvh_ros.ros.parameters import SourceSettings
     from bvh_ros.ros.parts.batches import Batch
     from bvh_ros.ros.parts.typed_services import TypedServices
     from bvh_ros.ros.parts.virtual_scan import VirtualScan

@@ -22,9 +22,9 @@ from bvh_ros.tree.access import BLOCKED_COLOUR, FREE_COLOUR, PALETTE, plotting
 if TYPE_CHECKING:
     from rclpy.node import Node
 
-    from bvh_ros.ros.config.parameters import DrawSettings
     from bvh_ros.ros.conversions.plans import Query
     from bvh_ros.ros.conversions.query_clouds import Hits, Rays
+    from bvh_ros.ros.parameters import DrawSettings
     from bvh_ros.ros.world.world import World
     from bvh_ros.scene import NodeScene, SceneHit
 

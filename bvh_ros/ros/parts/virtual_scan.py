@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 from sensor_msgs.msg import LaserScan, PointCloud2
 from std_msgs.msg import Header
 
-from bvh_ros.ros.config.parameters import LASER_SCAN, ScanSettings
 from bvh_ros.ros.conversions import nanoseconds, rotations
 from bvh_ros.ros.conversions.query_clouds import (
     FREE,
@@ -24,6 +23,7 @@ from bvh_ros.ros.conversions.query_clouds import (
     answers_cloud,
     unanswered,
 )
+from bvh_ros.ros.parameters import LASER_SCAN, ScanSettings
 from bvh_ros.ros.parts.part import Answerer
 from bvh_ros.ros.qos import Delivery
 from bvh_ros.ros.sources.subscribing import FollowingSubscription

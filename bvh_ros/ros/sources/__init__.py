@@ -10,7 +10,7 @@ from __future__ import annotations
 import importlib
 from typing import TYPE_CHECKING, NamedTuple
 
-from bvh_ros.ros.config.parameters import FARTHEST, ConfigurationError, Option, SourceSettings
+from bvh_ros.ros.parameters import FARTHEST, ConfigurationError, Option, SourceSettings
 from bvh_ros.ros.texts import as_line
 from bvh_ros.scene import AS_CONVEX, AS_SOLID, AS_SURFACE, ShapeKind
 

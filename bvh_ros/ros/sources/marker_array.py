@@ -12,9 +12,9 @@ from visualization_msgs.msg import MarkerArray
 
 from bvh_ros.ros.cdr import definitions, marker_array
 from bvh_ros.ros.compile_jobs import Job
-from bvh_ros.ros.config.parameters import ConfigurationError
 from bvh_ros.ros.conversions import markers
 from bvh_ros.ros.conversions.placing import numbered
+from bvh_ros.ros.parameters import ConfigurationError
 from bvh_ros.ros.sources.source import Applying, Source
 from bvh_ros.scene import Families, Part
 from bvh_ros.scene.names import as_families

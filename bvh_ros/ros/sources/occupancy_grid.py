@@ -12,9 +12,9 @@ import numpy as np
 from nav_msgs.msg import OccupancyGrid
 from numpy.typing import NDArray
 
-from bvh_ros.ros.config.parameters import ConfigurationError
 from bvh_ros.ros.conversions import nanoseconds, rotations
 from bvh_ros.ros.conversions.placing import alike
+from bvh_ros.ros.parameters import ConfigurationError
 from bvh_ros.ros.sources.source import Applying, Source
 from bvh_ros.scene import ShapeKind, Shapes
 

@@ -20,8 +20,8 @@ from rclpy.serialization import deserialize_message
 from bvh_ros.ros.cdr import any_message
 from bvh_ros.ros.cdr.any_message import Columns, plan_of
 from bvh_ros.ros.compile_jobs import Job
-from bvh_ros.ros.config.parameters import ConfigurationError
 from bvh_ros.ros.conversions.placing import moved
+from bvh_ros.ros.parameters import ConfigurationError
 from bvh_ros.ros.qos import DEPTH, Delivery
 from bvh_ros.ros.sources.subscribing import Completeness, FollowingSubscription, Heard
 from bvh_ros.ros.texts import Refused, Timings, shortened, why
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from rclpy.guard_condition import GuardCondition
     from rclpy.node import Node
 
-    from bvh_ros.ros.config.parameters import SourceSettings
+    from bvh_ros.ros.parameters import SourceSettings
     from bvh_ros.ros.sources.mesh_resources import MeshFiles
     from bvh_ros.ros.world.frames import Frames
     from bvh_ros.scene import NodeScene

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from rclpy.time import Time
 
-from bvh_ros.ros.config.parameters import ConfigurationError, TransformSettings
 from bvh_ros.ros.conversions import rotations
+from bvh_ros.ros.parameters import ConfigurationError, TransformSettings
 from bvh_ros.ros.texts import as_line, shortened
 
 if TYPE_CHECKING:

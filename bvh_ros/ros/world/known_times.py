@@ -14,7 +14,7 @@ from bvh_ros.ros.conversions import nanoseconds
 from bvh_ros.ros.texts import seconds
 
 if TYPE_CHECKING:
-    from bvh_ros.ros.config.parameters import Settings
+    from bvh_ros.ros.parameters import Settings
     from bvh_ros.ros.sources.source import Source
     from bvh_ros.ros.world.large_changes import LargeChanges
     from bvh_ros.scene import NodeScene

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from bvh_ros.ros.config.parameters import ConfigurationError, ViewSettings
+from bvh_ros.ros.parameters import ConfigurationError, ViewSettings
 from bvh_ros.ros.texts import shortened
 from bvh_ros.scene import Families
 from bvh_ros.scene.names import BARE

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
     from rclpy.node import Node
 
-    from bvh_ros.ros.config.parameters import Settings
+    from bvh_ros.ros.parameters import Settings
     from bvh_ros.ros.sources.source import Source
     from bvh_ros.ros.world.frames import Frames
     from bvh_ros.ros.world.known_times import KnownTimes

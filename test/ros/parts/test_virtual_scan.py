@@ -15,8 +15,8 @@ from ros.clouds import table
 from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import LaserScan, PointCloud2
 
-from bvh_ros.ros.config.parameters import SCAN_OPTIONS, ConfigurationError, scan_settings
 from bvh_ros.ros.conversions.query_clouds import FREE, UNANSWERED
+from bvh_ros.ros.parameters import SCAN_OPTIONS, ConfigurationError, scan_settings
 from bvh_ros.ros.parts import virtual_scan
 
 BOXES = 60

@@ -14,7 +14,7 @@ from ros.patience import PATIENCE
 pytest.importorskip('rclpy', reason='rclpy is not installed', exc_type=ImportError)
 
 from bvh_ros.ros.access import ConfigurationError
-from bvh_ros.ros.config.parameters import ViewSettings
+from bvh_ros.ros.parameters import ViewSettings
 from bvh_ros.ros.world.views import Categoriser, Patterns, create_views
 from bvh_ros.scene import NodeScene, Numbered, Shapes
 from bvh_ros.scene.names import as_families

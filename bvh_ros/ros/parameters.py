@@ -459,7 +459,7 @@ def _region(
 def _footprint(given: str | Sequence[float], height: float, *, planar: bool) -> tuple[Shapes, ...]:
     if not isinstance(given, str) and tuple(given) == NO_FOOTPRINT:
         return ()
-    from bvh_ros.ros.config import footprint
+    from bvh_ros.ros import footprint
 
     try:
         if not isinstance(given, str):
