@@ -10,7 +10,7 @@ import os
 import sys
 from collections import Counter
 
-from bvh_ros.report import compiled_kernels
+from bvh_ros.report import workload
 
 MOST = 39  # kernels that Python calls
 TWICE = {
@@ -20,7 +20,7 @@ TWICE = {
 
 
 def main() -> int:
-    found = compiled_kernels.measure()
+    found = workload.measure()
     for entry in found:
         print(f'{entry.seconds:7.2f} s  (LLVM {entry.llvm:5.2f})  {entry.name}')
     total = sum(entry.seconds for entry in found)

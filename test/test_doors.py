@@ -17,7 +17,7 @@ OPEN = {
 }
 MOST_PRIVATE = 40  # files of tests: of exact arithmetic, kernels, decoders, layouts in memory
 # They measure the inside of the tree: they replace parts of kernels, or count kernels.
-INSIDERS = {f'report/{name}.py' for name in ('error/methods', 'speed', 'compiled_kernels')}
+INSIDERS = {f'report/{name}.py' for name in ('error/methods', 'speed', 'workload')}
 
 
 def imports(path):

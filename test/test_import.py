@@ -40,8 +40,8 @@ def test_a_view_that_is_off_is_not_imported(module):
 def test_a_node_starts_without_the_library_of_meshes():
     pytest.importorskip('rclpy', reason='rclpy is not installed', exc_type=ImportError)
     program = (
-        'import sys; from bvh_ros.report import compiled_kernels\n'
-        'for job in compiled_kernels.default_jobs(): job.run()\n'
+        'import sys; from bvh_ros.report import workload\n'
+        'for job in workload.default_jobs(): job.run()\n'
         'print("scipy.spatial" in sys.modules)'
     )
     result = subprocess.run([sys.executable, '-c', program], capture_output=True, text=True)

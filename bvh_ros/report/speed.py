@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from .. import DynamicBVH
 from ..tree import dynamic_bvh
 from ..tree.compiler import processors
-from . import compiled_kernels
+from . import workload
 from .page import Cell, Page
 from .scenes import Boxes, Rays, incoherent_rays, spread, uniform_boxes
 from .timing import Job, interleaved, seconds
@@ -99,7 +99,7 @@ TOGETHER = """
 import time
 began = time.perf_counter()
 from bvh_ros.ros.compilation import Compilation
-from bvh_ros.report.compiled_kernels import default_jobs
+from bvh_ros.report.workload import default_jobs
 compilation = Compilation(default_jobs())
 while not compilation.is_done:
     compilation.go_on(1.0)
@@ -115,7 +115,7 @@ def kernels(page: Page, brief: bool) -> None:
         page.add('Left out: with an empty cache it takes two minutes.')
         return
     with tempfile.TemporaryDirectory() as folder:
-        found = compiled_kernels.measure(NUMBA_CACHE_DIR=folder, BVH_ROS_KERNELS='')
+        found = workload.measure(NUMBA_CACHE_DIR=folder, BVH_ROS_KERNELS='')
     with tempfile.TemporaryDirectory() as folder:
         (wall,) = _printed(TOGETHER, NUMBA_CACHE_DIR=folder, BVH_ROS_KERNELS='')
     rows: list[list[Cell]] = [[entry.name, entry.seconds, entry.llvm] for entry in found]

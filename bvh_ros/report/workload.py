@@ -1,23 +1,31 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""A scene in a process of its own: `python -m bvh_ros.report.workload '<Configuration as JSON>'`.
+"""What is measured in a process of its own: a scene at work, and the kernels that a node compiles.
 
-Prints as JSON what a unit of each kind of work took, the processor time until the first answer,
-the memory of the process and of the scene, and which kernels and modules it took.
+`python -m bvh_ros.report.workload '<Configuration as JSON>'` prints as JSON what a unit of each
+kind of work took, the processor time until the first answer, the memory of the process and of the
+scene, and which kernels and modules it took.
 """
 
+import gc
 import json
+import os
+import subprocess
 import sys
 import time
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from functools import partial
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from bvh_ros.report.compiled_kernels import compiled
 from bvh_ros.report.timing import memory, seconds
 from bvh_ros.scene import Mesh, Numbered, Scene, ShapeKind, Shapes
 from bvh_ros.scene.shapes.shape import IDENTITY, unit_quaternions
+from bvh_ros.tree.compiler.kernel_parts import Kernel
+
+if TYPE_CHECKING:
+    from bvh_ros.ros.compile_jobs import Job
 
 RAYS, OVERLAPS = 300, 100
 STEP = 0.05  # m that obstacles go from frame to frame
@@ -122,6 +130,66 @@ def main(job: Configuration) -> dict[str, Any]:
     loaded = {name.partition('.')[0] for name in sys.modules}
     figures['libraries'] = sorted(loaded & {'rclpy', 'fcl', 'matplotlib'})
     return figures
+
+
+# The kernels that a process has compiled, and those of a node without configuration.
+
+
+class Entry(NamedTuple):
+    """A kernel, compiled for one signature."""
+
+    name: str
+    signature: str
+    seconds: float  # all of it; 0 for what was in the cache
+    llvm: float  # seconds of that in LLVM
+
+
+def default_jobs() -> list['Job']:
+    """Return what compiles all that a node without configuration calls."""
+    from bvh_ros.ros.cdr import marker_array
+    from bvh_ros.ros.compile_jobs import Job, Needs, jobs
+    from bvh_ros.ros.sources import SOURCE_TYPES
+
+    decode = partial(marker_array.read, marker_array.EMPTY)
+    kinds = SOURCE_TYPES['MarkerArray'].kinds
+    return [
+        *jobs(Needs(planar=False, margin=0.0, kinds=kinds, batch=True)),
+        Job('decode markers', 'decode markers', 2.0, decode, early=True),
+    ]
+
+
+def measure(**environment: str) -> list[Entry]:
+    """Compile in a new process; return its kernels, the slowest first."""
+    ended = subprocess.run(
+        [sys.executable, '-c', f'from {__name__} import print_kernels; print_kernels()'],
+        env={**os.environ, **environment},
+        stdout=subprocess.PIPE,
+        text=True,
+        check=True,
+    )
+    entries = [Entry(*json.loads(line)) for line in ended.stdout.splitlines()]
+    return sorted(entries, key=lambda entry: -entry.seconds)
+
+
+def compiled() -> list[Entry]:
+    """The kernels that this process has called."""
+    found = []
+    for kernel in gc.get_objects():
+        if isinstance(kernel, Kernel):
+            name = f'{kernel.py_func.__module__.removeprefix("bvh_ros.")}.{kernel.__name__}'
+            for signature, result in kernel.overloads.items():
+                timers = (result.metadata or {}).get('timers', {})
+                times = (timers.get(lock, 0.0) for lock in ('compiler_lock', 'llvm_lock'))
+                found.append(Entry(name, str(signature), *times))
+    return found
+
+
+def print_kernels() -> None:
+    """Compile, and print."""
+    for job in default_jobs():
+        job.run()
+    for entry in compiled():
+        print(json.dumps(entry))
 
 
 if __name__ == '__main__':

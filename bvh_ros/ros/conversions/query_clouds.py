@@ -92,10 +92,6 @@ class Points(NamedTuple):
     masks: Masks  # (n,)
     since: Floats | None = None  # (n,) s after the header's stamp; None: now
 
-    @property
-    def durations(self) -> None:
-        """Their answers take no time."""
-
     def faults(self) -> Faults:
         """Return why rows (n,) cannot be answered."""
         return {
@@ -117,10 +113,6 @@ class Boxes(NamedTuple):
     tolerances: Floats  # (n,) m
     masks: Masks  # (n,)
     since: Floats | None = None  # (n,) s after the header's stamp; None: now
-
-    @property
-    def durations(self) -> None:
-        """Their answers take no time."""
 
     def faults(self) -> Faults:
         """Return why rows (n,) cannot be answered."""

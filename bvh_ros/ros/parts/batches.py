@@ -42,7 +42,6 @@ from bvh_ros.ros.conversions.query_clouds import (
 )
 from bvh_ros.ros.parts.part import Answerer
 from bvh_ros.ros.qos import DEPTH, Delivery
-from bvh_ros.ros.sources.subscribing import FollowingSubscription
 from bvh_ros.ros.texts import why
 from bvh_ros.scene import NO_NODE
 from bvh_ros.scene.store import WAITS
@@ -150,7 +149,6 @@ def checked(
 
 # Many questions in one message, answered row for row: `~/rays` to `~/ray_hits`.
 
-QOS_PERIOD = 1.0  # seconds
 SMALLEST_PIECE, LARGEST_PIECE = 1, 8192  # rows
 PIECE_TIME = 0.005  # seconds
 RECENT = 1.0  # seconds: rows of the last batch of a kind took as long as those of the next
@@ -269,12 +267,8 @@ class Batch(Answerer):
         self._turn = node.create_guard_condition(self._go_on)
         self._close += [partial(node.destroy_guard_condition, self._turn), self._work.clear]
         self._publisher = self.publisher(PointCloud2, view.topic(self.answer_topic), DEPTH)
-        delivery = Delivery(ordered=False, raw=True)
-        subscription = FollowingSubscription(
-            node, self.message, view.topic(self.question_topic), self.receive, delivery
-        )
-        self._close.append(subscription.destroy)
-        self.every(QOS_PERIOD, subscription.check)
+        topic = view.topic(self.question_topic)
+        self.listen(self.message, topic, self.receive, Delivery(ordered=False, raw=True))
 
     def receive(self, messages: Sequence[bytes]) -> None:
         """Begin to answer one cloud, unless it repeats a question that still waits, or waited
@@ -361,7 +355,7 @@ class Batch(Answerer):
             raise ValueError(
                 't0 and duration have no meaning: no source predicts, and there is no history'
             )
-        given = moments.since, moments.durations, stamp
+        given = moments.since, getattr(moments, 'durations', None), stamp
         return spans_after(*given, self._world.times, self.now())
 
     def _refusal(self, request: Any, reason: str) -> PointCloud2:

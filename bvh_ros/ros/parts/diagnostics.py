@@ -16,7 +16,7 @@ import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.serialization import serialize_message
 
-from bvh_ros.ros.parts.part import Answerer, NodePart, OnDemandPublisher
+from bvh_ros.ros.parts.part import QOS_PERIOD, Answerer, NodePart, OnDemandPublisher
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -116,7 +116,6 @@ def _costs(cost: float, when_built: float) -> dict[str, str]:
 
 # Queries expire obstacles exactly. This frees their memory where there are no queries.
 EXPIRY_PERIOD = 0.1  # seconds
-QOS_PERIOD = 1.0  # seconds
 
 
 class Maintenance(NodePart):

@@ -15,7 +15,8 @@ from rclpy.clock import Clock, ClockType
 from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.qos import DurabilityPolicy, QoSProfile
 
-from bvh_ros.ros.qos import REPEATED, REQUESTS
+from bvh_ros.ros.qos import REPEATED, REQUESTS, Delivery
+from bvh_ros.ros.sources.subscribing import FollowingSubscription
 from bvh_ros.ros.texts import Refused, Timings
 
 if TYPE_CHECKING:
@@ -122,6 +123,9 @@ class Replies:
 # A part of the node: what it opened on the node goes away with it.
 
 
+QOS_PERIOD = 1.0  # seconds between two looks at what publishers offer
+
+
 class NodePart:
     """Opens services, topics and timers on a node, and closes them again.
 
@@ -154,6 +158,14 @@ class NodePart:
         publisher = self.node.create_publisher(kind, topic, qos, **given)
         self._close.append(partial(self.node.destroy_publisher, publisher))
         return publisher
+
+    def listen(
+        self, kind: type, topic: str, callback: Callable[[list[Any]], None], delivery: Delivery
+    ) -> None:
+        """Subscribe, as publishers offer it, as long as this part lives."""
+        subscription = FollowingSubscription(self.node, kind, topic, callback, delivery)
+        self._close.append(subscription.destroy)
+        self.every(QOS_PERIOD, subscription.check)
 
     def every(self, period: float, callback: Callable[[], Any]) -> None:
         """Call back every `period` seconds of real time, as long as this part lives.

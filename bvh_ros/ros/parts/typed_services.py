@@ -66,10 +66,6 @@ class ShapeRows(NamedTuple):
     masks: Masks  # (n,)
     since: Floats | None = None  # (n,) s after the request's stamp; None: now
 
-    @property
-    def durations(self) -> None:
-        """Their answers take no time."""
-
     def faults(self) -> dict[str, NDArray[np.bool_]]:
         """Return why rows (n,) cannot be answered."""
         boxes = Boxes(self.places, self.sizes, self.turns, np.zeros(len(self.kinds)), self.masks)
@@ -302,7 +298,8 @@ class TypedServices(Answerer):
         def spans_of(some: Any) -> Spans | None:
             if times is None or some.since is None:
                 return None
-            return spans_after(some.since, some.durations, begin, times, self.now())
+            durations = getattr(some, 'durations', None)
+            return spans_after(some.since, durations, begin, times, self.now())
 
         def answer(piece: slice) -> None:
             scene = world.at(self.now())

@@ -26,7 +26,6 @@ from bvh_ros.ros.conversions.query_clouds import (
 from bvh_ros.ros.parameters import LASER_SCAN, ScanSettings
 from bvh_ros.ros.parts.part import Answerer
 from bvh_ros.ros.qos import Delivery
-from bvh_ros.ros.sources.subscribing import FollowingSubscription
 from bvh_ros.ros.texts import why
 from bvh_ros.ros.world.frames import Transform
 
@@ -92,7 +91,6 @@ def laser_scan(measured: Floats, given: Pattern, settings: ScanSettings) -> Lase
 
 
 DEPTH = 5
-QOS_PERIOD = 1.0  # seconds
 
 
 class VirtualScan(Answerer):
@@ -116,11 +114,7 @@ class VirtualScan(Answerer):
         self._pose: PoseStamped | None = None
         kind = LaserScan if settings.type == LASER_SCAN else PointCloud2
         self._publisher = self.publisher(kind, '~/virtual_scan', DEPTH)
-        subscription = FollowingSubscription(
-            node, PoseStamped, settings.pose_topic, self.receive, Delivery(DEPTH)
-        )
-        self._close.append(subscription.destroy)
-        self.every(QOS_PERIOD, subscription.check)
+        self.listen(PoseStamped, settings.pose_topic, self.receive, Delivery(DEPTH))
         if settings.rate:
             timer = node.create_timer(1.0 / settings.rate, self._scan_again)
             self._close.append(lambda: node.destroy_timer(timer))
