@@ -64,24 +64,19 @@ SOLIDS = ShapeKind.BOX, ShapeKind.SPHERE, ShapeKind.CYLINDER, ShapeKind.MESH
 
 
 class SourceType(NamedTuple):
-    """Where a type of source is written down, which shapes it brings and its options."""
+    """The module of a type of source, which shapes it brings and its options."""
 
-    module: str
-    class_name: str
+    module: str  # in this folder; the class is called after the type
     kinds: tuple[ShapeKind, ...]
     options: tuple[Option, ...]
 
 
 SOURCE_TYPES = {
     'MarkerArray': SourceType(
-        'bvh_ros.ros.sources.marker_array',
-        'MarkerArraySource',
-        SOLIDS,
-        (MESHES, _predict(CONSTANT_VELOCITY), *FOLLOWING),
+        'marker_array', SOLIDS, (MESHES, _predict(CONSTANT_VELOCITY), *FOLLOWING)
     ),
     'PointCloud2': SourceType(
-        'bvh_ros.ros.sources.point_cloud2',
-        'PointCloud2Source',
+        'point_cloud2',
         (ShapeKind.BOX,),
         (
             Option(
@@ -96,8 +91,7 @@ SOURCE_TYPES = {
         ),
     ),
     'OccupancyGrid': SourceType(
-        'bvh_ros.ros.sources.occupancy_grid',
-        'OccupancyGridSource',
+        'occupancy_grid',
         (ShapeKind.BOX,),
         (
             Option('occupied_at', 65, 'Cells of at least this value are occupied.', 0, 127),
@@ -109,20 +103,11 @@ SOURCE_TYPES = {
         ),
     ),
     'Detection3DArray': SourceType(
-        'bvh_ros.ros.sources.detection_array',
-        'Detection3DArraySource',
-        (ShapeKind.BOX,),
-        (_predict(CONSTANT_VELOCITY), *FOLLOWING),
+        'detection_array', (ShapeKind.BOX,), (_predict(CONSTANT_VELOCITY), *FOLLOWING)
     ),
-    'CollisionObject': SourceType(
-        'bvh_ros.ros.sources.collision_object', 'CollisionObjectSource', SOLIDS, (MESHES,)
-    ),
-    'PlanningScene': SourceType(
-        'bvh_ros.ros.sources.planning_scene', 'PlanningSceneSource', SOLIDS, (MESHES, OCCUPIED_AT)
-    ),
-    'Octomap': SourceType(
-        'bvh_ros.ros.sources.octomap', 'OctomapSource', (ShapeKind.BOX,), (OCCUPIED_AT,)
-    ),
+    'CollisionObject': SourceType('collision_object', SOLIDS, (MESHES,)),
+    'PlanningScene': SourceType('planning_scene', SOLIDS, (MESHES, OCCUPIED_AT)),
+    'Octomap': SourceType('octomap', (ShapeKind.BOX,), (OCCUPIED_AT,)),
 }
 
 
@@ -138,12 +123,12 @@ def create_source(
     """
     kind = SOURCE_TYPES[settings.type]
     try:
-        source_class = getattr(importlib.import_module(kind.module), kind.class_name)
+        module = importlib.import_module(f'{__name__}.{kind.module}')
     except ImportError as error:
-        package = (error.name or kind.module).partition('.')[0]
+        package = (error.name or __name__).partition('.')[0]
         raise ConfigurationError(
             f"source '{settings.name}' needs {package}, which cannot be imported here: "
             f'{as_line(error)}'
         ) from error
-    source: Source = source_class(node, settings, scene, frames)
+    source: Source = getattr(module, f'{settings.type}Source')(node, settings, scene, frames)
     return source
