@@ -25,8 +25,8 @@ from visualization_msgs.msg import Marker, MarkerArray
 from bvh_ros.client import BvhClient, BvhTimeoutError
 from bvh_ros.ros.access import BvhServer, FrameError, Frames, Transform, nanoseconds
 from bvh_ros.ros.cdr import marker_array
+from bvh_ros.ros.cdr.marker_array import MarkerTable
 from bvh_ros.ros.conversions import outlines, query_clouds, rotations
-from bvh_ros.ros.conversions.markers import MarkerTable
 from bvh_ros.ros.conversions.placing import alike, joined
 from bvh_ros.ros.parameters import LASER_SCAN, ScanSettings, scan_settings
 from bvh_ros.ros.parts.diagnostics import Maintenance

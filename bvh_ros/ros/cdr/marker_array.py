@@ -5,7 +5,9 @@
 from __future__ import annotations
 
 import functools
+from collections.abc import Callable
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,8 +23,31 @@ from bvh_ros.ros.cdr.reading import (
     visible_text,
     whole_number,
 )
-from bvh_ros.ros.conversions.markers import MarkerTable
 from bvh_ros.tree.compiler import inlined, lean_kernel
+
+Integers = NDArray[np.int64]
+Floats = NDArray[np.float64]
+
+
+class MarkerTable(NamedTuple):
+    """n markers, one a row."""
+
+    namespaces: list[str]  # the different ones, and for each row which of them
+    namespace: Integers
+    frame_ids: list[str]
+    frame: Integers
+    stamp: Integers  # (n,) ns
+    id: Integers
+    type: Integers
+    action: Integers
+    position: Floats  # (n, 3)
+    orientation: Floats  # (n, 4) quaternions x, y, z, w
+    scale: Floats  # (n, 3)
+    lifetime: Integers  # (n,) ns
+    points: Callable[[int], Floats]  # of a row, (k, 3)
+    resource: Callable[[int], str]  # of a row, the URI of its mesh
+    colours: Callable[[int], Floats]  # of a row's points, (k, 4), or none
+
 
 # The definition that is decoded here, as the Python classes tell it; see `definitions.py`.
 DEFINITION = {
@@ -208,7 +233,7 @@ def _count(data: NDArray[np.uint8], big_endian: bool) -> int:
 
 
 def _table(
-    data: NDArray[np.uint8], order: str, fixed: NDArray[np.uint8], places: NDArray[np.int64]
+    data: NDArray[np.uint8], order: str, fixed: NDArray[np.uint8], places: Integers
 ) -> MarkerTable:
     columns = fixed.view(_fixed_type(order))[:, 0]
     frame_ids, frame = _texts(data, *places[:, FRAME : NEW_FRAME + 1].T)
@@ -242,11 +267,8 @@ def _fixed_type(order: str) -> np.dtype[np.void]:
 
 
 def _texts(
-    data: NDArray[np.uint8],
-    begin: NDArray[np.int64],
-    length: NDArray[np.int64],
-    new: NDArray[np.int64],
-) -> tuple[list[str], NDArray[np.int64]]:
+    data: NDArray[np.uint8], begin: Integers, length: Integers, new: Integers
+) -> tuple[list[str], Integers]:
     """The different texts, and which of them each row has. Runs of one text are read once."""
     numbers: dict[str, int] = {}
     rows = np.flatnonzero(new)
@@ -258,22 +280,18 @@ def _texts(
     return list(numbers), of_run[np.cumsum(new) - 1]
 
 
-def _points(
-    data: NDArray[np.uint8], order: str, places: NDArray[np.int64], row: int
-) -> NDArray[np.float64]:
+def _points(data: NDArray[np.uint8], order: str, places: Integers, row: int) -> Floats:
     begin, count = places[row, [POINTS, POINT_COUNT]].tolist()
     found = np.frombuffer(data, f'{order}f8', 3 * count, begin)
     return found.astype(np.float64).reshape(-1, 3)
 
 
-def _resource(data: NDArray[np.uint8], places: NDArray[np.int64], row: int) -> str:
+def _resource(data: NDArray[np.uint8], places: Integers, row: int) -> str:
     begin, length = places[row, [RESOURCE, RESOURCE_LENGTH]].tolist()
     return data[begin : begin + length].tobytes().decode('utf-8', 'replace')
 
 
-def _colours(
-    data: NDArray[np.uint8], order: str, places: NDArray[np.int64], row: int
-) -> NDArray[np.float64]:
+def _colours(data: NDArray[np.uint8], order: str, places: Integers, row: int) -> Floats:
     begin, count = places[row, [POINTS, POINT_COUNT]].tolist()
     at = begin + count * POINT  # a multiple of four: what is next is the number of colours
     count = int(np.frombuffer(data, f'{order}u4', 1, at)[0])

@@ -9,9 +9,8 @@ from typing import Any
 import numpy as np
 from vision_msgs.msg import Detection3DArray
 
-from bvh_ros.ros.conversions.markers import TOO_FAR_AHEAD
 from bvh_ros.ros.conversions.placing import Placing, alike
-from bvh_ros.ros.sources.source import Applying, ColumnsSource
+from bvh_ros.ros.sources.source import TOO_FAR_AHEAD, Applying, ColumnsSource
 from bvh_ros.scene import Part, ShapeKind
 
 

@@ -14,9 +14,8 @@ from sensor_msgs.msg import PointCloud2
 
 from bvh_ros.ros.cdr import point_cloud2 as decoder
 from bvh_ros.ros.cdr.point_cloud2 import all_or_none, columns, structured
-from bvh_ros.ros.conversions.markers import TOO_FAR_AHEAD
 from bvh_ros.ros.conversions.placing import alike, moved
-from bvh_ros.ros.sources.source import Applying, Source
+from bvh_ros.ros.sources.source import TOO_FAR_AHEAD, Applying, Source
 from bvh_ros.scene import Block, Numbered, Part, Refusals, ShapeKind, Shapes
 from bvh_ros.scene.store import run_in_thread
 

@@ -46,6 +46,7 @@ Applying = Generator[None, None, tuple[int, Sequence[Refusal]]]
 Slices = Generator[None, None, Refusals]
 SLICE = 0.005  # seconds after which others get a turn; whoever asks may wait for two
 SMALL_SHARE = 0.125  # of a scene: slices of so many rows take less than a copy of the scene
+TOO_FAR_AHEAD = 'its stamp is too far in the future'
 COSTLY_AS_ROWS = 60  # rows of boxes that take as long as one with a mesh
 DONE = object()
 

@@ -19,7 +19,7 @@ from hypothesis import strategies as st
 from nav_msgs.msg import Path
 from rclpy.serialization import deserialize_message, serialize_message
 from ros.cdr.cdr_reference import encode, offsets
-from ros.conversions.marker_tables import table
+from ros.sources.marker_tables import table
 from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray, UVCoordinate
 

@@ -12,9 +12,9 @@ from urllib.parse import quote
 
 import numpy as np
 import pytest
-from ros.conversions.generators import ended
-from ros.conversions.marker_tables import change_of
 from ros.patience import PATIENCE
+from ros.sources.generators import ended
+from ros.sources.marker_tables import change_of
 from scene.reference import box_of_triangles
 
 pytest.importorskip('rclpy', reason='rclpy is not installed', exc_type=ImportError)

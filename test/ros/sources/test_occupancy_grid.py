@@ -8,7 +8,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from ros.conversions.generators import ended
+from ros.sources.generators import ended
 
 from bvh_ros.ros.sources import occupancy_grid
 

@@ -9,8 +9,8 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from ros.conversions.generators import ended
-from ros.conversions.marker_tables import change_of
+from ros.sources.generators import ended
+from ros.sources.marker_tables import change_of
 
 from bvh_ros.ros.access import FrameError, SourceSettings, Transform, create_source
 from bvh_ros.scene import NodeScene, ShapeKind

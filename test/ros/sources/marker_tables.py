@@ -3,10 +3,10 @@
 """Markers as the columns that the decoder reads from their bytes, by their Python objects."""
 
 import numpy as np
-from ros.conversions.generators import ended
+from ros.sources.generators import ended
 
-from bvh_ros.ros.conversions import markers as conversion
 from bvh_ros.ros.conversions import nanoseconds
+from bvh_ros.ros.sources import marker_array as conversion
 
 
 def table(markers):
