@@ -12,7 +12,7 @@ from pathlib import Path
 from types import ModuleType
 
 from . import error, features, peers, planner, speed, stability
-from .page import Page, bar
+from .page import Page
 
 # A part is a module with SECTIONS: by heading, functions of the page and of whether the report is
 # to be brief, which return how many cases failed, or None. Docstrings are the text on the page.
@@ -36,8 +36,12 @@ def main(arguments: Sequence[str] | None = None) -> None:
         sys.exit("bvh_report needs matplotlib and tqdm: pip install 'bvh_ros[report]'")
     page, failed = Page(options.out, options.data), 0
     steps = _steps(page, options)
-    for name in bar([*steps], str):
-        failed += steps[name]() or 0
+    from tqdm import tqdm
+
+    with tqdm(steps.items(), disable=None, dynamic_ncols=True, leave=False) as bar:
+        for name, run in bar:  # a log gets no bar
+            bar.set_description(name)
+            failed += run() or 0
     print(f'written: {page.write()}')
     if failed:
         sys.exit(f'{failed} cases failed')

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .. import DynamicBVH
+from ..tree.access import CORNERS, SIDES
 from .scenes import Boxes, Floats, Rays
 
 Rows = NDArray[np.int64]
@@ -69,16 +70,13 @@ OURS = Library(
 # ---- Embree 4 by embreex: a box is twelve triangles
 
 
-# Corner k of a box takes x, y, z from its upper end where bit 0, 1, 2 of k is set.
-UPPER = np.array([[k & 1, k >> 1 & 1, k >> 2 & 1] for k in range(8)], bool)
-SIDES = ((0, 1, 3, 2), (4, 5, 7, 6), (0, 1, 5, 4), (2, 3, 7, 6), (0, 2, 6, 4), (1, 3, 7, 5))
-FACES = np.array([t for a, b, c, d in SIDES for t in ((a, b, c), (a, c, d))], np.int32)
+FACES = SIDES[:, (0, 1, 2, 0, 2, 3)].reshape(12, 3).astype(np.int32)
 ONE_RAY = np.zeros((1, 3), np.float32), np.ones((1, 3), np.float32)
 
 
 def triangles(boxes: Boxes) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
     """Corners (8 n, 3) and the twelve triangles of every box (12 n, 3)."""
-    corners = np.where(UPPER, boxes.hi[:, None], boxes.lo[:, None]).astype(np.float32)
+    corners = np.where(CORNERS, boxes.hi[:, None], boxes.lo[:, None]).astype(np.float32)
     faces = FACES + 8 * np.arange(len(boxes.lo), dtype=np.int32)[:, None, None]
     return corners.reshape(-1, 3), faces.reshape(-1, 3)
 

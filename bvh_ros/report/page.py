@@ -5,10 +5,10 @@
 import csv
 import os
 import platform
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 # ---- Tables in Markdown
 
@@ -35,23 +35,6 @@ def markdown(header: Sequence[str], rows: Sequence[Sequence[Cell]]) -> str:
             padded, rule = [text.rjust(width) for text in texts], '-' * (width - 1) + ':'
         columns.append([padded[0], rule, *padded[1:]])
     return '\n'.join(f'| {" | ".join(line)} |' for line in zip(*columns, strict=True))
-
-
-# ---- The progress bar
-
-
-Item = TypeVar('Item')
-
-
-def bar(items: Sequence[Item], name: Callable[[Item], str]) -> Iterator[Item]:
-    """Iterate under a bar that names the item; a log gets no bar."""
-    from tqdm import tqdm
-
-    with tqdm(total=len(items), disable=None, dynamic_ncols=True, leave=False) as shown:
-        for item in items:
-            shown.set_description(name(item))
-            yield item
-            shown.update()
 
 
 # ---- The page
