@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from bvh_ros.ros.cdr import path as decoder
 from bvh_ros.ros.conversions import rotations
 from bvh_ros.ros.conversions.query_clouds import Faults, Floats, take
-from bvh_ros.ros.world.frames import Transform
 from bvh_ros.scene import Shapes, unchecked_shapes
 
 
@@ -24,12 +23,6 @@ class Poses(NamedTuple):
     elsewhere: NDArray[np.bool_]  # (n,) whether the pose names another frame than the path
     stamps: NDArray[np.int64]  # (n,) ns, the time of the pose; 0: now
     before: Any = None  # Poses: those before, that itself of the first; None: not needed
-
-    def moved(self, transform: Transform) -> Poses:
-        """Return the same in the node's frame."""
-        turns = transform.orientations(self.turns)
-        before = self.before and self.before.moved(transform)
-        return self._replace(places=transform.points(self.places), turns=turns, before=before)
 
     def faults(self) -> Faults:
         """Return why rows (n,) cannot be answered."""

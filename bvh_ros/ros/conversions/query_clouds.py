@@ -78,11 +78,6 @@ class Rays(NamedTuple):
             faults['it has a duration, and no end by t_max'] = (self.durations != 0.0) & endless
         return faults
 
-    def moved(self, transform: Transform) -> Rays:
-        """Return the same in the node's frame; lengths, and with them t, are the same there."""
-        origins, directions = transform.points(self.origins), transform.vectors(self.directions)
-        return self._replace(origins=origins, directions=directions)
-
 
 class Points(NamedTuple):
     """Points of one cloud; nothing is known of their values yet."""
@@ -98,10 +93,6 @@ class Points(NamedTuple):
             'its point is not finite': np.logical_not(np.isfinite(self.places).all(axis=1)),
             'its max_distance is NaN or negative': np.logical_not(self.reaches >= 0.0),
         }
-
-    def moved(self, transform: Transform) -> Points:
-        """Return the same in the node's frame."""
-        return self._replace(places=transform.points(self.places))
 
 
 class Boxes(NamedTuple):
@@ -126,11 +117,6 @@ class Boxes(NamedTuple):
             'its tolerance is not finite, or negative': improper(self.tolerances),
             'it reaches beyond the largest double': ~np.isfinite(reach),
         }
-
-    def moved(self, transform: Transform) -> Boxes:
-        """Return the same in the node's frame."""
-        turns = transform.orientations(self.turns)
-        return self._replace(places=transform.points(self.places), turns=turns)
 
 
 Question = TypeVar('Question', bound=tuple[Any, ...])
@@ -265,6 +251,25 @@ def take(questions: Question, rows: Any) -> Question:
     }
     taken: Question = given._replace(**some)
     return taken
+
+
+MOVED = {
+    **dict.fromkeys(('origins', 'places', 'goals'), Transform.points),
+    **dict.fromkeys(('turns', 'goal_turns'), Transform.orientations),
+    'directions': Transform.vectors,
+}
+"""How columns get into another frame; lengths, and with them t, are the same there."""
+
+
+def moved(questions: Question, transform: Transform) -> Question:
+    """Return questions in the node's frame."""
+    given: Any = questions
+    names = MOVED.keys() & given._fields
+    there = {name: MOVED[name](transform, getattr(given, name)) for name in names}
+    if getattr(given, 'before', None) is not None:  # the poses before those of a path
+        there['before'] = moved(given.before, transform)
+    elsewhere: Question = given._replace(**there)
+    return elsewhere
 
 
 def fault(questions: Any, number: int = 0) -> tuple[NDArray[np.bool_], str]:

@@ -35,6 +35,7 @@ from bvh_ros.ros.conversions.query_clouds import (
     Touched,
     answers_cloud,
     fault,
+    moved,
     put,
     size_of_reply,
     take,
@@ -139,7 +140,7 @@ def checked(
     """Bring rows, the first of which has this number, into the node's frame, and check them."""
     if transform is not None:
         with np.errstate(over='ignore', invalid='ignore'):  # what leaves the doubles is bad
-            rows = rows.moved(transform)
+            rows = moved(rows, transform)
     bad, reason = fault(rows, number)
     spans = spans_of(rows)
     if spans is not None:

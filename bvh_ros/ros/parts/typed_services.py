@@ -81,11 +81,6 @@ class ShapeRows(NamedTuple):
             'its max_distance is NaN or negative': np.logical_not(self.reaches >= 0.0),
         }
 
-    def moved(self, transform: Transform) -> ShapeRows:
-        """Return the same in the node's frame."""
-        turns = transform.orientations(self.turns)
-        return self._replace(places=transform.points(self.places), turns=turns)
-
 
 class SweepRows(NamedTuple):
     """Shapes that go from pose to pose, with unchecked values."""
@@ -120,13 +115,6 @@ class SweepRows(NamedTuple):
         if self.durations is not None:
             faults['its duration is not finite, or negative'] = improper(self.durations)
         return faults
-
-    def moved(self, transform: Transform) -> SweepRows:
-        """Return the same in the node's frame."""
-        start, goal = (end.moved(transform) for end in self._ends())
-        return self._replace(
-            places=start.places, turns=start.turns, goals=goal.places, goal_turns=goal.turns
-        )
 
 
 class Limit:
