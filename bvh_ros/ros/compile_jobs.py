@@ -160,18 +160,6 @@ def use_tree(ndim: int) -> None:
 # scene with shapes: another process compiles meanwhile how shapes get there.
 
 
-def _shape_calls(needs: Needs) -> Sequence[tuple[str, float, Callable[[Needs], None]]]:
-    """Return names, seconds and calls as of `compile_jobs.Job`."""
-    meshes = ShapeKind.MESH in needs.kinds and not needs.planar
-    return [
-        *([('distances of meshes', 5.0, _distances_of_meshes)] if meshes else []),
-        ('balls', 10.0, _balls),
-        ('overlaps', 6.0, _overlaps),
-        ('rays', 4.0, _rays),
-        *([('batches of rays at shapes', 4.0, _batches_of_rays)] if needs.batch else []),
-    ]
-
-
 def _distances_of_meshes(_needs: Needs) -> None:
     """The longest part that all share. Begun first, it is there when they come to it."""
     vector = np.zeros(3)
@@ -277,59 +265,65 @@ NEAREST_THEN, PATHS_THEN = 'nearest at other times', 'paths at other times'
 SWEEPS = 'sweeps of shapes'
 
 
+# Whether it is needed, the name, the seconds and the call of a `Job`.
+Call = tuple[bool, str, float, Callable[[Needs], None]]
+
+
 def jobs(needs: Needs) -> list[Job]:
     """Return all calls: those that the first answers wait for, then the longest."""
-    calls: list[tuple[str, float, Callable[[Needs], None]]] = [
-        ('obstacles', 9.0, _obstacles),
-        ('thin rays', 6.0, _thin_rays),
-        ('names', 1.5, _names),
-        *([('batches of rays', 8.0, _batches)] if needs.batch else []),
-        *_shape_calls(needs),
-        ('boxes', 3.0, _among_boxes),
-        *([('threads', 1.0, _threads)] if needs.batch and needs.threads > 1 else []),
-        *_moving(needs)[:1],
-        ('checks', 1.5, _checks),
+    batch, meshes = needs.batch, ShapeKind.MESH in needs.kinds and not needs.planar
+    calls: list[Call] = [
+        (True, 'obstacles', 9.0, _obstacles),
+        (True, 'thin rays', 6.0, _thin_rays),
+        (True, 'names', 1.5, _names),
+        (batch, 'batches of rays', 8.0, _batches),
+        (meshes, 'distances of meshes', 5.0, _distances_of_meshes),
+        (True, 'balls', 10.0, _balls),
+        (True, 'overlaps', 6.0, _overlaps),
+        (True, 'rays', 4.0, _rays),
+        (batch, 'batches of rays at shapes', 4.0, _batches_of_rays),
+        (True, 'boxes', 3.0, _among_boxes),
+        (batch and needs.threads > 1, 'threads', 1.0, _threads),
+        (needs.moving, 'other times', 70.0, other_times),
+        (True, 'checks', 1.5, _checks),
     ]
-    return _named(calls, needs)
+    return _needed(calls, needs)
 
 
 def later_jobs(needs: Needs) -> list[Job]:
     """Return the jobs of queries that are compiled on first use."""
-    calls: list[tuple[str, float, Callable[[Needs], None]]] = [
-        (NEAREST, 8.0, _nearest),
-        *([(BALLS, 12.0, _many_balls), (BOXES_ASKED, 20.0, _boxes_asked)] if needs.batch else []),
-        *([(POINTS, 10.0, _points), (CLEARANCES, 20.0, _paths)] if needs.batch else []),
-        *([(SWEEPS, 20.0, _sweeps)] if needs.batch else []),
-        *_moving(needs)[1:],
+    calls: list[Call] = [
+        (True, NEAREST, 8.0, _nearest),
+        (needs.batch, BALLS, 12.0, _many_balls),
+        (needs.batch, BOXES_ASKED, 20.0, _boxes_asked),
+        (needs.batch, POINTS, 10.0, _points),
+        (needs.batch, CLEARANCES, 20.0, _paths),
+        (needs.batch, SWEEPS, 20.0, _sweeps),
+        (needs.moving, NEAREST_THEN, 30.0, nearest_then),
+        (needs.moving, PATHS_THEN, 30.0, paths_then),
     ]
-    return _named(calls, needs)
+    return _needed(calls, needs)
 
 
 def path_jobs(needs: Needs, *, meshes: bool = False, between: bool = False) -> list[Job]:
     """Return what paths need: compiled at the start, where there is a footprint. `meshes`: that is
     a polygon; `between`: poses are connected by sweeps.
     """
-    calls = [('paths of polygons' if meshes else 'paths', 20.0, partial(_paths, polygon=meshes))]
-    if between:
-        name = 'sweeps of polygons' if meshes else SWEEPS
-        calls.append((name, 20.0, partial(_sweeps, polygon=meshes)))
-    return _named(calls, needs)
+    paths, sweeps = ('paths of polygons', 'sweeps of polygons') if meshes else ('paths', SWEEPS)
+    calls: list[Call] = [
+        (True, paths, 20.0, partial(_paths, polygon=meshes)),
+        (between, sweeps, 20.0, partial(_sweeps, polygon=meshes)),
+    ]
+    return _needed(calls, needs)
 
 
-def _named(calls: Sequence[tuple[str, float, Callable[[Needs], None]]], needs: Needs) -> list[Job]:
+def _needed(calls: Sequence[Call], needs: Needs) -> list[Job]:
     tells_apart = _tells_apart(needs)
     return [
         Job(name, f'{name} {tells_apart}', seconds, partial(call, needs), call in EARLY)
-        for name, seconds, call in calls
+        for is_needed, name, seconds, call in calls
+        if is_needed
     ]
-
-
-def _moving(needs: Needs) -> list[tuple[str, float, Callable[[Needs], None]]]:
-    """What is called at the start, and on first use, where obstacles have velocities."""
-    if not needs.moving:
-        return []
-    later = (NEAREST_THEN, 30.0, nearest_then), (PATHS_THEN, 30.0, paths_then)
-    return [('other times', 70.0, other_times), *later]
 
 
 def _tells_apart(needs: Needs) -> tuple[int, ...]:
