@@ -17,7 +17,7 @@ from ros.patience import COMPILING, PATIENCE
 
 from bvh_ros.ros.access import has_typed_services
 
-POLICY = Path(__file__).parents[3] / 'config' / 'bvh_policy.xml'
+POLICY = Path(__file__).parents[2] / 'config' / 'bvh_policy.xml'
 # What sros2's schema allows of the elements used: attributes (those that must be there first),
 # and children.
 SCHEMA = {
