@@ -10,7 +10,6 @@ from .batch.single import (
     few_entry,
     meet_boxes,
     meet_ray,
-    next_ball_leaf,
     next_line_leaf,
     next_near_leaf,
     next_wide_leaf,

@@ -28,12 +28,10 @@ from ...tree.access import (
     Stack,
     intersect_node,
     limit32,
-    next_ball_leaf,
     next_leaf,
-    no_plane32,
+    next_line_leaf,
     prepare_ray,
     push_root,
-    set_plane32,
     set_ray,
     start_ray,
     traversal_distance,
@@ -46,9 +44,17 @@ from ..shapes.footprint import FACE, ROUND
 from ..shapes.hull import are_any, form_of, hull_of, surface_of, triangle_hull
 from ..shapes.mesh import CONVEX, SHELL, SOLID, farthest_vertex
 from ..shapes.shape import ldexp, rotate
-from ..shapes.surface import RECORD, closest_between, coordinates_in, first_crossing, holds_point
+from ..shapes.surface import (
+    ALL32,
+    RECORD,
+    closest_between,
+    coordinates_in,
+    first_crossing,
+    holds_point,
+)
+from ..shapes.triangles32 import Ball, meet_swept
 from .arguments import clear_triangle
-from .shapes import approach_by, reach_of, slope_of, time_of
+from .shapes import ROUNDING, approach_by, reach_of, slope_of, time_of
 
 # ---- thin rays
 
@@ -241,9 +247,10 @@ approach_triangle = approach_by(measure_triangle)
 
 
 @lean_kernel
-def stays_off(solid, radius, until, slack, work):
-    """Whether a ball surely does not touch a triangle up to a distance: there a plane keeps them
-    apart, to which the ball came no nearer before. `work` as for `approach`.
+def stays_off(solid, radius, until, is_hit, slack, work):
+    """Whether a ball surely does not touch a triangle before it has gone a distance, but for what
+    rounds that: there a plane keeps them apart, to which the ball came no nearer before. If the
+    ball touches nothing there, it must be off by the slack. `work` as for `approach`.
     """
     origin, direction, point, normal = work[0], work[1], work[2], work[3]
     if until == np.inf:
@@ -251,40 +258,9 @@ def stays_off(solid, radius, until, slack, work):
     for axis in range(3):
         point[axis] = origin[axis] + until * direction[axis]
     low, _ = measure_triangle(solid, point, normal)
-    return low > radius + slack and slope_of(normal, direction) <= 0.0
-
-
-@lean_kernel
-def set_contact_plane(wide, solid, frame, radius, s, work, plane, above):
-    """Fill in a plane, its normal and its place, that a triangle reaches which the ball touches
-    before it has gone s: that in which it touches one there, if it came no farther from it. The
-    ball goes along rows 0 and 1 of `work`; `above` is the same for boxes.
-    """
-    origin, direction, point, normal = work[0], work[1], work[2], work[3]
-    place, size = -(radius + frame.slack), solid[0].radius
-    for axis in range(3):
-        point[axis] = origin[axis] + s * direction[axis]
-    measure_triangle(solid, point, normal)
-    if not slope_of(normal, direction) <= 0.0:
-        return
-    for axis in range(3):
-        plane[axis] = normal[axis]
-        place += normal[axis] * point[axis]
-        size = max(size, abs(point[axis]) / frame.scale)
-    plane[3] = place / frame.scale - GROWN * size
-    set_plane32(wide, plane, plane[3], above)
-
-
-@inlined
-def lies_below(plane, places):
-    """Whether a triangle does not reach a plane."""
-    below = True
-    for number in range(3):
-        height = 0.0
-        for axis in range(3):
-            height += plane[axis] * places[number, axis]
-        below = below and height < plane[3]
-    return below
+    slope = slope_of(normal, direction)
+    more = ROUNDING * until * slope if is_hit else slack
+    return low > radius + more and slope <= 0.0
 
 
 @lean_kernel
@@ -317,14 +293,13 @@ def approach_triangles(hulls, surface, is_solid, frame, radius, reach, work):
         scale, far = prepare_ray(ray, box[0], box[1])
         limit = traversal_distance(limit, scale)
     path, best = BallNodes(ray, far, grown, box), np.inf
-    plane, above = stack_array(4, np.float64), stack_array(4, np.float32)
-    plane[0], plane[1], plane[2], plane[3] = 0.0, 0.0, 0.0, -np.inf
-    no_plane32(above)
+    ball = Ball(ray, grown)
     if not suited:
         top = push_root(nodes, surface.root, path, limit, stack, enter_ball)
     while top > 0:
         if suited:
-            face, top = next_ball_leaf(wide, records, place, above, entries, top)
+            given = (records, place), ball
+            face, top = next_line_leaf(wide, *given, ALL32, entries, top, meet_swept)
         else:
             leaf, top = next_leaf(nodes, path, limit, stack, top, enter_ball)
             face = leaf >> 1  # NONE of NONE
@@ -335,14 +310,11 @@ def approach_triangles(hulls, surface, is_solid, frame, radius, reach, work):
             for axis in range(3):
                 room[row, axis] = work[row, axis]
         until, solid = min(best, reach), (hull, frame.scale)
-        if lies_below(plane, places):
-            continue
-        if stays_off(solid, radius, until, frame.slack, room):
+        if stays_off(solid, radius, until, best <= until, frame.slack, room):
             continue
         s, _ = approach_triangle(solid, radius, until, frame.slack, room)
         if s < best:
             best = s
-            set_contact_plane(wide, solid, frame, radius, s, room, plane, above)
             if suited:
                 record.limit = limit32(s / frame.scale, record.unit)
             else:

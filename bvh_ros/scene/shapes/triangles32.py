@@ -1,7 +1,7 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
 """Sixteen triangles of a mesh at once, in float32: how near they may be, and which a line may
-cross.
+cross, or a ball that is swept along it touch.
 
 The box of a triangle may be much nearer than the triangle: of a fine mesh, tens of boxes are
 nearer than the closest point, and a line meets three boxes for each triangle that it crosses. What
@@ -9,6 +9,7 @@ float32 tells of a triangle is a bound; float64 decides on the few triangles tha
 """
 
 import math
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -69,15 +70,29 @@ def closest(a, b, c):
 
 
 @inlined
-def distance_bound(a, b, c):
-    """What the distance of a triangle from the origin does not fall short of, up to rounding.
+def separation(a, b, c, direction):
+    """(What the distance of a triangle from the origin does not fall short of, up to rounding; how
+    much it falls for each step along a direction).
 
     The triangle lies beyond a plane across the line to any one point. The closest point makes that
     tight.
     """
     point = closest(a, b, c)
-    along = min(dot(a, point), dot(b, point), dot(c, point))
-    return along / np.sqrt(max(dot(point, point), TINY))
+    along, inverse = (
+        min(dot(a, point), dot(b, point), dot(c, point)),
+        ONE / np.sqrt(max(dot(point, point), TINY)),
+    )
+    return along * inverse, dot(direction, point) * inverse
+
+
+@inlined
+def corners_of(triangles, lane, place):
+    """The corners of the triangle in a lane, as seen from a place."""
+    x, y, z = lane, lane + WIDTH, lane + 2 * WIDTH
+    a = triangles[x], triangles[y], triangles[z]
+    b = triangles[x + 3 * WIDTH], triangles[y + 3 * WIDTH], triangles[z + 3 * WIDTH]
+    c = triangles[x + 6 * WIDTH], triangles[y + 6 * WIDTH], triangles[z + 6 * WIDTH]
+    return minus(a, place), minus(b, place), minus(c, place)
 
 
 @lean_kernel
@@ -91,11 +106,7 @@ def bound_triangles(wide, around, node, lanes, nearest):
     place = (box[0] + box[3]) * HALF, (box[1] + box[4]) * HALF, (box[2] + box[5]) * HALF
     slack = LOOSER * (ONE + max(abs(place[0]), abs(place[1]), abs(place[2])))
     for lane in range(WIDTH):
-        x, y, z = lane, lane + WIDTH, lane + 2 * WIDTH
-        a = triangles[x], triangles[y], triangles[z]
-        b = triangles[x + 3 * WIDTH], triangles[y + 3 * WIDTH], triangles[z + 3 * WIDTH]
-        c = triangles[x + 6 * WIDTH], triangles[y + 6 * WIDTH], triangles[z + 6 * WIDTH]
-        bound = distance_bound(minus(a, place), minus(b, place), minus(c, place))
+        bound, _ = separation(*corners_of(triangles, lane, place), place)
         bound = max(bound - slack, ZERO)
         squares[lane] = bound * bound if children[lane] < 0 else squares[lane]
     for lane in range(WIDTH):
@@ -111,6 +122,85 @@ def meet_triangles(snapshot, around, node, nearest):
     if np.uint32(lanes & leaves_of(snapshot, node)) == np.uint32(0):
         return lanes
     return bound_triangles(snapshot, around, node, lanes, nearest)
+
+
+# ---- triangles and balls
+
+
+class Ball(NamedTuple):
+    """A ball that is swept along a line; lengths of the mesh."""
+
+    ray: Any
+    """ORIGIN, and DIRECTION of length one."""
+    radius: Any
+    """What is no farther from the center may be touched."""
+
+
+DOWN = np.float32(1.0 - 2.0**-19)
+SLOPE = np.float32(2.0**-19)  # more than what rounds a slope
+STEPS = 4  # with one or two, many triangles are left that the ball does not touch
+# In the snapshot's units. What a ball touches is nearer: it begins within `FARTHEST_ORIGIN`.
+NEVER = np.float32(1e8)
+
+
+@lean_kernel
+def bound_touches(wide, record, ball, node, lanes, nearest):
+    """Leave out the lanes of a wide node whose triangles the ball surely does not touch within the
+    limit of its record; `nearest` becomes the bits of where it surely touches no triangle yet.
+
+    These are the steps of `shapes.approach_by`: from where the ball meets the first box it goes on
+    until it touches a plane that keeps it off the triangle. There the next step begins.
+    """
+    entries, near, first = nearest.view(np.float32), np.uint32(0), np.float32(np.inf)
+    triangles = wide.triangles[node * (9 * WIDTH) : (node + 1) * (9 * WIDTH)]
+    children = wide.children[node * WIDTH : (node + 1) * WIDTH]
+    for lane in range(WIDTH):
+        first = min(first, entries[lane] if children[lane] < 0 else first)
+    first *= DOWN
+    s, far, start = np.float64(first) / record.unit, np.float32(0.0), stack_array(3, np.float32)
+    for axis in range(3):
+        place = ball.ray[ORIGIN, axis] + s * ball.ray[DIRECTION, axis]
+        start[axis] = (place - wide.center[axis]) * wide.per_length
+        far = max(far, abs(start[axis]))
+    towards, radius = ball.ray[DIRECTION], np.float32(ball.radius * wide.per_length)
+    origin = start[0], start[1], start[2]
+    direction = np.float32(towards[0]), np.float32(towards[1]), np.float32(towards[2])
+    unit, slack = np.float32(record.unit / wide.per_length), LOOSER * (ONE + far + radius)
+    steps = stack_array(WIDTH, np.float32)  # how far the ball goes until it may touch
+    for lane in range(WIDTH):
+        steps[lane] = ZERO if children[lane] < 0 else NEVER
+    for _ in range(STEPS):
+        least = NEVER
+        for lane in range(WIDTH):
+            center = plus(origin, steps[lane], direction)
+            gap, slope = separation(*corners_of(triangles, lane, center), direction)
+            step = max(gap - radius - slack, ZERO) / max(slope + SLOPE, TINY)
+            steps[lane] = min(steps[lane] + step, NEVER)
+        for lane in range(WIDTH):
+            least = min(least, steps[lane])
+        if (first + least * unit) * DOWN > record.limit:
+            break
+    for lane in range(WIDTH):
+        bound = (first + steps[lane] * unit) * DOWN
+        bound = max(entries[lane], bound) if children[lane] < 0 else entries[lane]
+        bit = np.uint32(1) << np.uint32(lane)
+        touched = (bound <= record.limit) & ((steps[lane] < NEVER) | (children[lane] >= 0))
+        entries[lane] = bound
+        near |= bit if touched else np.uint32(0)
+    return np.uint32(lanes & near)
+
+
+@inlined
+def meet_swept(snapshot, query, node, nearest):
+    """`meet_ray` for query = (ray, `Ball`), without the triangles that the ball surely does not
+    touch.
+    """
+    ray, ball = query
+    lanes = meet_ray(snapshot, ray, node, nearest)
+    if np.uint32(lanes & leaves_of(snapshot, node)) == np.uint32(0):
+        return lanes
+    records, place = ray
+    return bound_touches(snapshot, records[place[0]], ball, node, lanes, nearest)
 
 
 # ---- triangles and lines

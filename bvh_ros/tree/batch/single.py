@@ -213,22 +213,6 @@ def set_plane32(snapshot, normal, place, plane):
     plane[3] = level - WIDER * (1.0 + abs(level))
 
 
-@inlined
-def next_ball_leaf(snapshot, records, place, plane, stack, top):
-    """`next_wide_leaf` of boxes that reach a plane."""
-    ray = records, place
-    return next_line_leaf(snapshot, ray, plane, ALL32, stack, top, _meet_ball)
-
-
-@inlined
-def _meet_ball(snapshot, query, node, nearest):
-    ray, plane = query
-    lanes = meet_ray(snapshot, ray, node, nearest)
-    if plane[3] > -np.inf:
-        lanes &= above16(snapshot.planes, node, plane)
-    return lanes
-
-
 LARGEST32 = 1e38
 
 

@@ -126,3 +126,35 @@ def test_no_crossed_triangle_is_left_out(name, decade):
         hit = np.isfinite(found)
         assert hit.any()
         assert found[hit] == pytest.approx(wanted[rows][hit], rel=1e-9, abs=1e-300)
+
+
+@pytest.mark.parametrize('decade', [-6, 0, 6])
+@pytest.mark.parametrize('name', FAMILIES)
+def test_no_touched_triangle_is_left_out(name, decade):
+    """Balls that hit triangles, graze them, begin at them and go away from them."""
+    rng = np.random.default_rng(5)
+    triangles = FAMILIES[name](rng)
+    goals = points_around(triangles, rng)[:100]
+    aside = rng.normal(size=goals.shape)
+    radius = 10.0 ** rng.uniform(-4, 0, len(goals))
+    share = rng.choice([0.0, 0.9, 0.999999, 1.000001, 30.0], (len(goals), 1))
+    goals = goals + share * radius[:, None] * aside / np.linalg.norm(aside, axis=1, keepdims=True)
+    away = rng.normal(size=goals.shape) * 10.0 ** rng.uniform(-3, 1.5, (len(goals), 1))
+    starts, goals = (goals - away) * 10.0**decade, (goals + away) * 10.0**decade
+    radius = radius * 10.0**decade
+    whole, apart = scenes_of(triangles * 10.0**decade)
+    found = whole.sweep_many(starts, goals, radius).t
+    wanted = np.min([scene.sweep_many(starts, goals, radius).t for scene in apart], axis=0)
+    # Rounding decides whether a ball that grazes hits.
+    size = np.abs(triangles).max() * 10.0**decade + np.abs(starts).max(axis=1)
+    less = np.min([s.sweep_many(starts, goals, radius - 1e-12 * size).t for s in apart], axis=0)
+    more = np.min([s.sweep_many(starts, goals, radius + 1e-12 * size).t for s in apart], axis=0)
+    assert (more * (1.0 - 1e-9) <= found).all()
+    assert (found <= less * (1.0 + 1e-9)).all()
+    assert (np.isinf(found) == np.isinf(wanted)).mean() > 0.95
+    assert (np.isfinite(found) & (found > 0.0)).any()
+    assert np.isinf(found).any()
+    assert found[:10].tolist() == [
+        whole.raycast(start, goal, reach).t if np.isfinite(t) else np.inf
+        for start, goal, reach, t in zip(starts, goals, radius, found[:10].tolist(), strict=False)
+    ]
