@@ -11,16 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ...tree.access import (
-    DIRECTION,
-    INSIDE,
-    NONE,
-    ORIGIN,
-    RAY_ROWS,
-    intersect_exact,
-    prepare_ray,
-    set_ray,
-)
+from ...tree.access import DIRECTION, INSIDE, NONE, ORIGIN, RAY_ROWS, intersect_exact
 from ...tree.compiler import chosen_by_types, inlined, lean_kernel, stack_array
 from ..shapes.footprint import (
     FACE,
@@ -44,8 +35,8 @@ from ..shapes.footprint import (
 )
 from ..shapes.hull import are_any
 from ..shapes.shape import length, scale_of
-from ..shapes.surface import first_flat
-from .mesh import GROWN, MINUTE, BallNodes, come_near, enter_ball, time_in
+from ..shapes.surface import first_flat, visit_ball
+from .mesh import MINUTE, Touch, come_near, in_lengths_of, time_in
 from .shapes import (
     COORDINATES,
     FRAME_SLACK,
@@ -57,7 +48,6 @@ from .shapes import (
     reach_of,
     time_of,
 )
-from .walking import walk_nodes
 
 # ---- a polygon that a disc grows
 
@@ -224,13 +214,13 @@ def enter_thin_shadows(surface, footprint, pair, t_max):
     return time_in(begin + s, exponent, t_max), np.int64(FACE + face)
 
 
-class Disc(NamedTuple):
-    """What `_visit_shadow` reads."""
+class DiscQuery(NamedTuple):
+    """What `_visit_shadow` needs."""
 
-    surface: Any
     frame: Any
     radius: Any
     reach: Any
+    work: Any
     offset: Any
     """Scratch, (2,)."""
     places: Any
@@ -238,13 +228,15 @@ class Disc(NamedTuple):
 
 
 @inlined
-def _visit_shadow(disc, work, face, best):
-    """How far a disc goes until it touches a shadow, and how far the walk goes on."""
-    rim = rim_of_shadow(disc.surface, np.int64(face), disc.frame.scale, disc.places)
-    until = min(best, disc.reach)
-    s = enter_rounded_rim(rim, work[0, :2], work[1, :2], disc.radius, until, disc.offset)
-    best = min(best, s)
-    return best, min(best, disc.reach) / disc.frame.scale
+def _visit_shadow(surface, ray, face, zero, touch):
+    query, work = touch.query, touch.query.work
+    rim, until = (
+        rim_of_shadow(surface, face, query.frame.scale, query.places),
+        min(touch.s, query.reach),
+    )
+    s = enter_rounded_rim(rim, work[0, :2], work[1, :2], query.radius, until, query.offset)
+    touch = Touch(min(touch.s, s), query)
+    return touch, min(touch.s, query.reach) / query.frame.scale
 
 
 @lean_kernel
@@ -252,24 +244,10 @@ def approach_shadows(surface, frame, radius, reach, work):
     """How far a disc from outside goes until it touches the shadow of a triangle, inf if it does
     not. Rows of `work`: where it starts, the unit vector along its path, one to work in.
     """
-    ray, box = stack_array((RAY_ROWS, 3), np.float64), stack_array((2, 3), np.float64)
-    places, nodes, size = stack_array((3, 3), np.float64), surface.nodes, 0.0
-    for axis in range(3):
-        ray[ORIGIN, axis] = work[0, axis] / frame.scale
-        ray[DIRECTION, axis] = work[1, axis]
-        size = max(size, abs(ray[ORIGIN, axis]))
-    set_ray(ray, ray[ORIGIN], ray[DIRECTION])
-    grown = (radius + frame.slack) / frame.scale * (1.0 + GROWN) + GROWN * (size + surface.radius)
-    for axis in range(3):
-        box[0, axis] = nodes[surface.root].lo[axis] - grown
-        box[1, axis] = nodes[surface.root].hi[axis] + grown
-    scale, wide = prepare_ray(ray, box[0], box[1])
-    path = BallNodes(ray, wide, grown, box)
-    disc = Disc(surface, frame, radius, reach, work[2, :2], places)
-    return walk_nodes(
-        *(nodes, surface.root, path, scale, reach / frame.scale, enter_ball),
-        *(disc, work, np.inf, _visit_shadow),
-    )
+    ray, places = stack_array((RAY_ROWS, 3), np.float64), stack_array((3, 3), np.float64)
+    grown = in_lengths_of(surface, frame, radius, work, ray)
+    touch = Touch(np.inf, DiscQuery(frame, radius, reach, work, work[2, :2], places))
+    return visit_ball(surface, ray, grown, reach / frame.scale, touch, _visit_shadow).s
 
 
 @lean_kernel

@@ -15,28 +15,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ...tree.access import (
-    DEEPEST,
-    DIRECTION,
-    FARTHEST_ORIGIN,
-    INSIDE,
-    LARGEST,
-    NONE,
-    ORIGIN,
-    RAY_ROWS,
-    STACK,
-    Stack,
-    intersect_node,
-    limit32,
-    next_leaf,
-    next_line_leaf,
-    prepare_ray,
-    push_root,
-    set_ray,
-    start_ray,
-    traversal_distance,
-    widen,
-)
+from ...tree.access import DIRECTION, INSIDE, LARGEST, ORIGIN, RAY_ROWS, set_ray
 from ...tree.compiler import chosen_by_types, inlined, lean_kernel, stack_array
 from ..distance.gjk import SLACK, dot
 from ..distance.narrow_phase import hull_gap
@@ -45,14 +24,12 @@ from ..shapes.hull import are_any, form_of, hull_of, surface_of, triangle_hull
 from ..shapes.mesh import CONVEX, SHELL, SOLID, farthest_vertex
 from ..shapes.shape import ldexp, rotate
 from ..shapes.surface import (
-    ALL32,
-    RECORD,
     closest_between,
     coordinates_in,
     first_crossing,
     holds_point,
+    visit_ball,
 )
-from ..shapes.triangles32 import Ball, meet_swept
 from .arguments import clear_triangle
 from .shapes import ROUNDING, approach_by, reach_of, slope_of, time_of
 
@@ -197,26 +174,6 @@ def enter_convex(hulls, shape, frame, pair, radius, t_max, work):
 # ---- meshes that are not convex
 
 
-class BallNodes(NamedTuple):
-    """What `enter_ball` reads."""
-
-    ray: Any
-    wide: Any
-    radius: Any
-    """By how much nodes are grown."""
-    box: Any
-    """Scratch, (2, 3)."""
-
-
-@inlined
-def enter_ball(nodes, node, path, limit):
-    """Where the centre of a ball may enter a node grown by its radius."""
-    for axis in range(3):
-        path.box[0, axis] = nodes[node].lo[axis] - path.radius
-        path.box[1, axis] = nodes[node].hi[axis] + path.radius
-    return intersect_node(path.box[0], path.box[1], path.ray, limit, path.wide)
-
-
 @lean_kernel
 def measure_triangle(solid, point, normal):
     """`measure_hull` of a triangle. The plane across the line to its closest point nearly always
@@ -263,66 +220,65 @@ def stays_off(solid, radius, until, is_hit, slack, work):
     return low > radius + more and slope <= 0.0
 
 
-@lean_kernel
-def approach_triangles(hulls, surface, is_solid, frame, radius, reach, work):
-    """How far a ball goes until it touches any mesh, inf if it does not."""
-    ray, box = stack_array((RAY_ROWS, 3), np.float64), stack_array((2, 3), np.float64)
-    room, places = stack_array((5, 3), np.float64), stack_array((3, 3), np.float64)
-    nodes, wide, size = surface.nodes, surface.wide, 0.0
+class Touch(NamedTuple):
+    """Where a ball touches the first triangle so far."""
+
+    s: Any
+    """How far it goes until then, inf if it touches none."""
+    query: Any
+    """`TouchQuery`."""
+
+
+class TouchQuery(NamedTuple):
+    """What `_visit_touched` needs."""
+
+    hulls: Any
+    frame: Any
+    radius: Any
+    reach: Any
+    work: Any
+    places: Any
+    """Scratch, (3, 3)."""
+
+
+@inlined
+def _visit_touched(surface, ray, face, zero, touch):
+    query = touch.query
+    frame, radius, until = query.frame, query.radius, min(touch.s, query.reach)
+    solid = triangle_hull(query.hulls, surface, face, query.places), frame.scale
+    if not stays_off(solid, radius, until, touch.s <= until, frame.slack, query.work):
+        s, _ = approach_triangle(solid, radius, until, frame.slack, query.work)
+        touch = Touch(min(touch.s, s), query)
+    return touch, min(touch.s, query.reach) / frame.scale
+
+
+GROWN = 2.0**-46  # of the lengths in play: more than what rounds a place
+
+
+@inlined
+def in_lengths_of(surface, frame, radius, work, ray):
+    """Fill in the path of a ball, rows 0 and 1 of `work`, in the lengths of a mesh; return a
+    radius that rounding makes no smaller than the ball's.
+    """
+    size = 0.0
     for axis in range(3):
         ray[ORIGIN, axis] = work[0, axis] / frame.scale
         ray[DIRECTION, axis] = work[1, axis]
         size = max(size, abs(ray[ORIGIN, axis]))
+    set_ray(ray, ray[ORIGIN], ray[DIRECTION])
+    return (radius + frame.slack) / frame.scale * (1.0 + GROWN) + GROWN * (size + surface.radius)
+
+
+@lean_kernel
+def approach_triangles(hulls, surface, is_solid, frame, radius, reach, work):
+    """How far a ball goes until it touches any mesh, inf if it does not."""
+    ray = stack_array((RAY_ROWS, 3), np.float64)
+    grown = in_lengths_of(surface, frame, radius, work, ray)
     if is_solid and holds_point(surface, ray[ORIGIN]):
         return 0.0
-    set_ray(ray, ray[ORIGIN], ray[DIRECTION])
-    grown = (radius + frame.slack) / frame.scale * (1.0 + GROWN) + GROWN * (size + surface.radius)
-    records, place = stack_array(1, RECORD), stack_array(1, np.int32)
-    entries, record = stack_array(STACK, np.int64), records[0]
-    stack = Stack(stack_array(DEEPEST, np.int64), stack_array(DEEPEST, np.float64))
-    scale, far, limit, top, suited = np.int64(0), False, reach / frame.scale, 0, False
-    if wide.size > 0 and grown * wide.per_length < FARTHEST_ORIGIN:
-        units = wide.center, wide.per_length
-        suited = start_ray(record, ray[ORIGIN], ray[DIRECTION], *units, limit)
-        widen(record, grown * wide.per_length)
-        place[0], entries[0], top = 0, 0, 1
-    if not suited:
-        for axis in range(3):
-            box[0, axis] = nodes[surface.root].lo[axis] - grown
-            box[1, axis] = nodes[surface.root].hi[axis] + grown
-        scale, far = prepare_ray(ray, box[0], box[1])
-        limit = traversal_distance(limit, scale)
-    path, best = BallNodes(ray, far, grown, box), np.inf
-    ball = Ball(ray, grown)
-    if not suited:
-        top = push_root(nodes, surface.root, path, limit, stack, enter_ball)
-    while top > 0:
-        if suited:
-            given = (records, place), ball
-            face, top = next_line_leaf(wide, *given, ALL32, entries, top, meet_swept)
-        else:
-            leaf, top = next_leaf(nodes, path, limit, stack, top, enter_ball)
-            face = leaf >> 1  # NONE of NONE
-        if face == NONE:
-            break
-        hull = triangle_hull(hulls, surface, np.int64(face), places)
-        for row in range(2):
-            for axis in range(3):
-                room[row, axis] = work[row, axis]
-        until, solid = min(best, reach), (hull, frame.scale)
-        if stays_off(solid, radius, until, best <= until, frame.slack, room):
-            continue
-        s, _ = approach_triangle(solid, radius, until, frame.slack, room)
-        if s < best:
-            best = s
-            if suited:
-                record.limit = limit32(s / frame.scale, record.unit)
-            else:
-                limit = traversal_distance(s / frame.scale, scale)
-    return best
-
-
-GROWN = 2.0**-46  # of the lengths in play: more than what rounds a place
+    query = TouchQuery(hulls, frame, radius, reach, work, stack_array((3, 3), np.float64))
+    touch = Touch(np.inf, query)
+    return visit_ball(surface, ray, grown, reach / frame.scale, touch, _visit_touched).s
 
 
 @lean_kernel

@@ -21,6 +21,7 @@ from ...tree.access import (
     ALL,
     DEEPEST,
     DIRECTION,
+    FARTHEST_ORIGIN,
     LARGEST,
     NONE,
     ORIGIN,
@@ -30,6 +31,7 @@ from ...tree.access import (
     Stack,
     Surroundings,
     enter_box,
+    intersect_node,
     limit32,
     next_leaf,
     next_line_leaf,
@@ -46,10 +48,11 @@ from ...tree.access import (
     traversal_distance,
     two_product,
     two_sum,
+    widen,
 )
 from ...tree.compiler import inlined, lean_kernel, stack_array
 from .shape import length
-from .triangles32 import LINE, fill_line, meet_crossed, meet_triangles
+from .triangles32 import LINE, Ball, fill_line, meet_crossed, meet_touched, meet_triangles
 
 
 class Surface(NamedTuple):
@@ -418,46 +421,88 @@ RECORD, ALL32 = no_snapshot(3).record.dtype, np.uint32(ALL)
 
 
 class Line(NamedTuple):
-    """What `enter_box` reads."""
+    """What `enter_box` and `enter_ball` read."""
 
     ray: Any
     mask: Any
     wide: Any
+    radius: Any
+    """By how much nodes are grown."""
+    box: Any
+    """Scratch, (2, 3)."""
+
+
+@inlined
+def enter_ball(nodes, node, line, limit):
+    """Where the centre of a ball may enter a node grown by its radius."""
+    for axis in range(3):
+        line.box[0, axis] = nodes[node].lo[axis] - line.radius
+        line.box[1, axis] = nodes[node].hi[axis] + line.radius
+    return intersect_node(line.box[0], line.box[1], line.ray, limit, line.wide)
 
 
 @inlined
 def visit_line(surface, ray, reach, found, visit):
     """Hand the triangles that a line may cross up to a distance to a visitor; return what it
     found, `found` at first. visit(surface, ray, face, zero, found) returns what is found now, and
-    up to where the line goes on.
-
-    The line goes through the snapshot of the tree if there is one, and it is suited to it.
+    up to where the line goes on; `zero` is a zero vector.
     """
-    nodes, wide, zero = surface.nodes, surface.wide, stack_array(3, np.float64)
+    return visit_swept(
+        surface, ray, 0.0, reach, found, visit, _start_line, meet_crossed, enter_box
+    )
+
+
+@inlined
+def visit_ball(surface, ray, radius, reach, found, visit):
+    """`visit_line` of the triangles that a ball may touch."""
+    return visit_swept(
+        surface, ray, radius, reach, found, visit, _start_ball, meet_touched, enter_ball
+    )
+
+
+@inlined
+def _start_line(wide, record, ray, radius, room):
+    return True, (fill_line(wide, ray, room), room)
+
+
+@inlined
+def _start_ball(wide, record, ray, radius, room):
+    widen(record, radius * wide.per_length)
+    return radius * wide.per_length < FARTHEST_ORIGIN, Ball(ray, radius)
+
+
+@inlined
+def visit_swept(surface, ray, radius, reach, found, visit, start, meet, enter):
+    """`visit_line` of a ball, or of a thin ray: through the snapshot of the tree if there is one,
+    and they are suited to it.
+
+    start(wide, record, ray, radius, room) gives (whether they are, what `meet` needs).
+    """
+    nodes, wide = surface.nodes, surface.wide
+    box, zero = stack_array((2, 3), np.float64), stack_array(3, np.float64)
     zero[0] = zero[1] = zero[2] = 0.0
     records, place = stack_array(1, RECORD), stack_array(1, np.int32)
-    entries, record, axis = stack_array(STACK, np.int64), records[0], 0
+    entries, record = stack_array(STACK, np.int64), records[0]
     stack = Stack(stack_array(DEEPEST, np.int64), stack_array(DEEPEST, np.float64))
-    line32 = stack_array(LINE, np.float32)
-    scale, far, limit, top, suited = np.int64(0), False, reach, 0, False
-    if wide.size > 0:
-        units = wide.center, wide.per_length
-        suited = start_ray(record, ray[ORIGIN], ray[DIRECTION], *units, reach)
-        place[0], entries[0], top = 0, 0, 1
-        if suited:
-            axis = fill_line(wide, ray, line32)
+    scale, far, limit, top = np.int64(0), False, reach, 0
+    suited = start_ray(record, ray[ORIGIN], ray[DIRECTION], wide.center, wide.per_length, reach)
+    fits, query = start(wide, record, ray, radius, stack_array(LINE, np.float32))
+    suited = suited and fits and wide.size > 0
+    place[0], entries[0] = 0, 0
     if not suited:
-        scale, far = prepare_ray(ray, nodes[surface.root].lo, nodes[surface.root].hi)
+        for axis in range(3):
+            box[0, axis] = nodes[surface.root].lo[axis] - radius
+            box[1, axis] = nodes[surface.root].hi[axis] + radius
+        scale, far = prepare_ray(ray, box[0], box[1])
         limit = traversal_distance(reach, scale)
-    line = Line(ray, ALL, far)
-    if not suited:
-        top = push_root(nodes, surface.root, line, limit, stack, enter_box)
+    line = Line(ray, ALL, far, radius, box)
+    top = 1 if suited else push_root(nodes, surface.root, line, limit, stack, enter)
     while top > 0:
         if suited:
-            given = (records, place), (axis, line32)
-            face, top = next_line_leaf(wide, *given, ALL32, entries, top, meet_crossed)
+            given = (records, place), query
+            face, top = next_line_leaf(wide, *given, ALL32, entries, top, meet)
         else:
-            leaf, top = next_leaf(nodes, line, limit, stack, top, enter_box)
+            leaf, top = next_leaf(nodes, line, limit, stack, top, enter)
             face = leaf >> 1  # NONE of NONE
         if face == NONE:
             break

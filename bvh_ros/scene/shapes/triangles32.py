@@ -191,7 +191,7 @@ def bound_touches(wide, record, ball, node, lanes, nearest):
 
 
 @inlined
-def meet_swept(snapshot, query, node, nearest):
+def meet_touched(snapshot, query, node, nearest):
     """`meet_ray` for query = (ray, `Ball`), without the triangles that the ball surely does not
     touch.
     """
