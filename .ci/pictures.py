@@ -27,7 +27,7 @@ from query_pictures import PICTURES, Picture
 from view import chromium, pages
 
 from bvh_ros import scenarios
-from bvh_ros.report import edges
+from bvh_ros.report import planner
 from bvh_ros.report.error import worlds
 from bvh_ros.report.page import Page
 from bvh_ros.view import page as view
@@ -156,7 +156,7 @@ def draw_demo(file: Path, quick: bool) -> str:
 DRAWN = {
     'resource/demo.webp': draw_demo,
     'resource/door.png': of_example(EXAMPLES / 'load_through_a_door.py', '--picture'),
-    'resource/edge_resolutions.png': of_report('edge_resolutions', edges.resolutions),
+    'resource/edge_resolutions.png': of_report('edge_resolutions', planner.resolutions),
     'resource/error_adversarial.png': of_report('error_adversarial', worlds.adversarial_scene),
     'resource/prediction.png': of_example(EXAMPLES / 'predicted_traffic.py', TRACKS, '--plot'),
     'resource/view.png': draw_view,
