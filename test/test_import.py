@@ -2,8 +2,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Plain Python users get the tree without ROS, python-fcl and the report's libraries."""
 
+import ast
+import importlib
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -46,3 +49,19 @@ def test_a_node_starts_without_the_library_of_meshes():
     )
     result = subprocess.run([sys.executable, '-c', program], capture_output=True, text=True)
     assert (result.returncode, result.stdout.split()) == (0, ['False']), result.stderr
+
+
+PROGRAMS = sorted((Path(__file__).parent.parent / '.ci').glob('*.py'))
+
+
+@pytest.mark.parametrize('program', PROGRAMS, ids=lambda path: path.stem)
+def test_what_checks_import_is_there(program):
+    """They run in CI alone, some for minutes."""
+    pytest.importorskip('rclpy', reason='rclpy is not installed', exc_type=ImportError)
+    for node in ast.walk(ast.parse(program.read_text())):
+        if isinstance(node, ast.ImportFrom) and (node.module or '').startswith('bvh_ros'):
+            module = importlib.import_module(node.module)
+            for name in node.names:
+                assert hasattr(module, name.name) or importlib.import_module(
+                    f'{node.module}.{name.name}'
+                )
