@@ -230,10 +230,8 @@ class DiscQuery(NamedTuple):
 @inlined
 def _visit_shadow(surface, ray, face, zero, touch):
     query, work = touch.query, touch.query.work
-    rim, until = (
-        rim_of_shadow(surface, face, query.frame.scale, query.places),
-        min(touch.s, query.reach),
-    )
+    rim = rim_of_shadow(surface, face, query.frame.scale, query.places)
+    until = min(touch.s, query.reach)
     s = enter_rounded_rim(rim, work[0, :2], work[1, :2], query.radius, until, query.offset)
     touch = Touch(min(touch.s, s), query)
     return touch, min(touch.s, query.reach) / query.frame.scale

@@ -221,12 +221,12 @@ def stays_off(solid, radius, until, is_hit, slack, work):
 
 
 class Touch(NamedTuple):
-    """Where a ball touches the first triangle so far."""
+    """Where a ball touches the first triangle, or a disc the first shadow, so far."""
 
     s: Any
     """How far it goes until then, inf if it touches none."""
     query: Any
-    """`TouchQuery`."""
+    """What the visitor needs: `TouchQuery`, or `footprint.DiscQuery`."""
 
 
 class TouchQuery(NamedTuple):
