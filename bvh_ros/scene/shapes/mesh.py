@@ -278,6 +278,11 @@ class Linked:
         count[low == high] = 0
         return count
 
+    @property
+    def open_edges(self) -> Integers:
+        """Those at which an odd number of triangles meets: 3 times a triangle's row, and which."""
+        return np.flatnonzero(self.at_edges & 1)
+
 
 class Given:
     """Finite triangles as they are given: rows (m, 3) of places (n, 3), all of which are used."""
@@ -291,16 +296,17 @@ class Given:
         """Rows of these."""
         lo, hi = _bounds(self.points)
         self.middle: Floats = lo * 0.5 + hi * 0.5
-        self.extent, self.largest = float((hi - lo).max()), float(np.maximum(-lo, hi).max())
+        self.farthest: Floats = np.maximum(-lo, hi)
+        self.extent, self.largest = float((hi - lo).max()), float(self.farthest.max())
 
     @property
-    def noise(self) -> float:
-        """How far corners may have been moved. They were rounded where they are if they are
-        float32 still, else next to their own origin.
+    def noise(self) -> Floats:
+        """(3,) how far corners may have been moved along each axis. They were rounded where they
+        are if they are float32 still, else next to their own origin.
         """
         with np.errstate(over='ignore', under='ignore'):
             single = np.array_equal(self.points.astype(np.float32), self.points)
-        return NOISE * max(self.extent, self.largest if single else 0.0)
+        return NOISE * np.maximum(self.extent, self.farthest * single)
 
 
 def convex_surface(given: Given) -> Surface:
@@ -313,10 +319,11 @@ def convex_surface(given: Given) -> Surface:
     # About the middle, in a power of two: nothing over- or underflows, and little is rounded.
     exponent = math.frexp(extent)[1]
     points = (given.points - given.middle) * math.ldexp(1.0, -exponent)
-    noise = math.ldexp(given.noise, -exponent)
+    along = given.noise * math.ldexp(1.0, -exponent)
+    noise = float(along.max())
     _require_thickness(points, given.linked.corners, noise)
     try:
-        closed = _closed(given.linked.moved(weld(points, 0.5 * noise)))
+        closed = _closed(given.linked.moved(weld(points, 0.5 * along)))
     except ValueError as reason:
         try:  # a part finer than the noise may fold where it is welded
             closed = _closed(given.linked)
@@ -385,9 +392,9 @@ def different(points: Floats) -> tuple[Integers, Integers]:
     return first, number.take(same)
 
 
-def weld(points: Floats, tolerance: float) -> Integers:
+def weld(points: Floats, tolerance: Floats) -> Integers:
     """Which point (n,) each of different points becomes: the first of those that are all within
-    the tolerance of each other on every axis. A chain that is longer is a fine part of the
+    the tolerance (3,) of each other on every axis. A chain that is longer is a fine part of the
     surface, and stays as it is.
     """
     becomes = np.arange(len(points))
@@ -397,7 +404,7 @@ def weld(points: Floats, tolerance: float) -> Integers:
     while len(rows) and unbroken < 3:  # a gap on one axis may have parted a chain on another
         order = np.lexsort((points[rows, axis], chain))
         rows, chain = rows[order], chain[order]
-        gap = (np.diff(points[rows, axis]) > tolerance) & (np.diff(chain) == 0)
+        gap = (np.diff(points[rows, axis]) > tolerance[axis]) & (np.diff(chain) == 0)
         chain[1:] += np.cumsum(gap)
         linked = np.diff(chain) == 0
         several = np.r_[False, linked] | np.r_[linked, False]
@@ -407,7 +414,7 @@ def weld(points: Floats, tolerance: float) -> Integers:
         begins = np.flatnonzero(np.diff(chain, prepend=-1))
         places, count = points[rows], np.diff(begins, append=len(rows))
         spread = np.maximum.reduceat(places, begins) - np.minimum.reduceat(places, begins)
-        near = np.repeat(spread.max(axis=1) <= tolerance, count)
+        near = np.repeat((spread <= tolerance).all(axis=1), count)
         becomes[rows[near]] = np.repeat(np.minimum.reduceat(rows, begins), count)[near]
     return becomes
 
@@ -431,8 +438,8 @@ def _closed(linked: Linked) -> Closed:
     if (count != 2).any():
         bad = int(np.argmax(count != 2))
         raise ValueError(
-            f'the mesh is not closed: an edge of triangle {int(row[bad // 3])} belongs to '
-            f'{int(count[bad])} triangles, not two'
+            'the mesh is not closed as a convex solid is: an edge of triangle '
+            f'{int(row[bad // 3])} belongs to {int(count[bad])} triangles, not two'
         )
     if 2 * len(used) - len(row) != 4:  # Euler: one surface without holes
         raise ValueError('the mesh is not the surface of one convex solid')
@@ -735,15 +742,16 @@ NO_REACHES = np.empty((0, CORNERS, CORNERS, 2))
 # What counts inside by the parity of crossings needs an even number of triangles at every edge,
 # no more: parts may touch, cross and lie in each other, and triangles may be wound anyhow. A
 # triangle without area is crossed by no line, but may close the seam between others: so it counts
-# for the edges, and is left out afterwards. Where a surface is written on both sides, parity would
-# find nothing inside, and a sheet closed: then each pair counts once.
+# for the edges, and is left out afterwards. A triangle that is given several times counts once:
+# by parity a part that is written on both sides would hold nothing. Only where that leaves edges
+# open all count, as the wall between two boxes that share it.
 
 CONVEX, SOLID, SHELL = range(3)  # forms of a mesh
 
 
-def any_surface(given: Given, solid: bool) -> tuple[Surface, bool]:
+def any_surface(given: Given, solid: bool | None) -> tuple[Surface, bool]:
     """(the triangles that have an area, whether all of them are closed); ValueError if they have
-    to be closed, as they are `solid`, and are not.
+    to be closed, as they are `solid`, and are not. Where that is False, corners stay as they are.
     """
     if given.extent == 0.0:
         raise ValueError('the mesh has no triangle with an area')
@@ -752,38 +760,66 @@ def any_surface(given: Given, solid: bool) -> tuple[Surface, bool]:
             'the mesh is too small or too large: unless it is convex, it must be larger than '
             f'{SMALLEST_SURFACE} m, and lie within {LARGEST_SURFACE} m'
         )
-    one_side = _one_side(given.linked)
-    linked = given.linked.part(one_side)
-    odd = np.flatnonzero(linked.at_edges & 1)
-    if len(odd):
-        # As exporters round corners, see above.
-        welded = linked.moved(weld(given.points, 0.5 * given.noise))
-        if not (welded.at_edges & 1).any():
-            linked, odd = welded, odd[:0]
-    if len(odd) and solid:
+    rows, linked = _closed_if_possible(given, solid is not False)
+    open_at = linked.open_edges
+    if len(open_at) and solid:
         raise ValueError(
             'a solid mesh must be closed: an odd number of triangles meets at an edge of '
-            f'triangle {int(one_side[odd[0] // 3])}'
+            f'triangle {int(rows[open_at[0] // 3])}'
         )
-    rows = np.flatnonzero(_have_area(given.points, linked.corners))
-    if not len(rows):
+    real = np.flatnonzero(_have_area(given.points, linked.corners))
+    if not len(real):
         raise ValueError('the mesh has no triangle with an area')
-    used, corners = _used(linked.corners[rows])
+    used, corners = _used(linked.corners[real])
     vertices = given.points[used]
     one, two, three = _places(vertices / given.extent, corners)
     normals = _crossed(two - one, three - one)  # as they are wound
     length = np.sqrt(_squares(normals))
     normals /= np.where(length > 0.0, length, 1.0)
     normals = np.ascontiguousarray(normals.T)
-    return Surface(vertices, corners, one_side[rows], normals), not len(odd)
+    return Surface(vertices, corners, rows[real], normals), not len(open_at)
 
 
-def _one_side(linked: Linked) -> Integers:
-    """Rows of all triangles; of the first of each, if each is there an even number of times."""
-    everyone = np.arange(len(linked.corners))
-    if (np.bincount(linked.first) & 1).any():
-        return everyone
-    return np.flatnonzero(linked.first == everyone)
+def _closed_if_possible(given: Given, stitch: bool) -> tuple[Integers, Linked]:
+    """(rows of triangles, each once, these) if that is closed, else if that is: without those that
+    have no area; all that are given; `stitch`, welded along open edges. If nothing is, each once.
+    """
+    first = given.linked.first
+    every = np.arange(len(first))
+    once = np.flatnonzero(first == every)
+    linked = given.linked.part(once)
+    if not len(linked.open_edges):
+        return once, linked
+    real = _have_area(given.points, linked.corners)
+    forms = [(once[real], linked.part(np.flatnonzero(real)))]
+    if (np.bincount(first) & 1).any():  # else a sheet on both sides would be closed
+        forms.append((every, given.linked))
+    if stitch:
+        forms.append((once, _stitched(given, linked, real)))
+    for rows, form in forms:
+        if len(rows) and not len(form.open_edges):
+            return rows, form
+    return once, linked
+
+
+def _stitched(given: Given, linked: Linked, real: NDArray[np.bool_]) -> Linked:
+    """The same with corners along open edges welded, as exporters round them, if that closes it
+    and loses nothing. Of the `real` ones, those with an area, none may become another, and one
+    that loses its area must lie along an edge of one that does not.
+    """
+    open_at, count = linked.open_edges, len(given.points)
+    ends = linked.corners.take(open_at), linked.corners.take([1, 2, 0], axis=1).take(open_at)
+    rim, becomes = np.unique(np.concatenate(ends)), np.arange(count)
+    becomes[rim] = rim[weld(given.points[rim], 0.5 * given.noise)]
+    welded = linked.moved(becomes)
+    if len(welded.open_edges):
+        return linked
+    kept = _have_area(given.points, welded.corners)
+    edges = welded.sets[kept][:, [0, 1, 1, 2, 0, 2]].reshape(-1, 2) @ (count, 1)
+    low, middle, high = welded.sets.T
+    along = ((low == middle) | (middle == high)) & np.isin(low * count + high, edges)
+    single = welded.first == np.arange(len(kept))
+    return welded if np.where(kept, single, along)[real].all() else linked
 
 
 def _have_area(points: Floats, corners: Integers) -> NDArray[np.bool_]:
@@ -906,12 +942,12 @@ class Mesh:
     -----
     A mesh is convex if it is the closed surface of one convex solid. The triangles are taken as
     rounded to float32 for that: corners as near as that become one, and by as little, 2.4e-7 of
-    its size, the surface may lie within the hull of its corners. The same welding closes a mesh
-    that is closed only then.
+    its size, the surface may lie within the hull of its corners. Corners along open edges become
+    one, too, if that closes a mesh and no triangle is lost; those of a shell never do.
 
     A point is inside a solid if a line from there crosses the surface an odd number of times. So
-    of two nested closed surfaces the inner one is a hollow. Where each triangle is there an even
-    number of times, as of a surface that is written on both sides, it counts once.
+    of two nested closed surfaces the inner one is a hollow. A triangle that is given several times
+    counts once, unless the mesh is closed only with all of them, as two boxes that share a wall.
 
     Raises
     ------
@@ -946,7 +982,7 @@ class Mesh:
             surface = convex_surface(given)
         except ValueError as reason:
             self.not_convex = str(reason)
-            surface, self.closed = any_surface(given, bool(solid))
+            surface, self.closed = any_surface(given, None if solid is None else bool(solid))
         self.convex = not self.not_convex
         """Whether it is the surface of one convex solid, and solid."""
         self.solid = self.closed and solid is not False

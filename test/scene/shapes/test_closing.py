@@ -1,0 +1,143 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""What closes a mesh that is not convex: nothing that was given is lost by it."""
+
+from fractions import Fraction
+
+import numpy as np
+import pytest
+from scene.reference import box_of_triangles, scene_of
+from scene.shapes.test_any_mesh import SOLIDS, SURFACES, segments
+
+from bvh_ros.scene import Mesh, Shapes
+
+HALF_NOISE = 2.0**-23  # of a mesh's size, or where it is float32, of how far it lies
+SHEET = np.array([[(0, 0, 0), (1, 0, 0), (1, 1, 0)], [(0, 0, 0), (1, 1, 0), (0, 1, 0)]]) * 1.0
+TETRAHEDRON = np.eye(4)[:, :3][[[0, 1, 2], [0, 1, 3], [0, 2, 3], [1, 2, 3]]]
+SPECK = np.eye(3)[None]
+CUBE = box_of_triangles((1.0, 1.0, 1.0))
+RING = SOLIDS['ring'] / 30.0
+
+
+def parted(triangles, rng):
+    """As exporters write them: each corner of each triangle rounded on its own, up or down."""
+    near = np.float32(triangles)
+    other = np.nextafter(near, np.where(near < triangles, np.inf, -np.inf).astype(np.float32))
+    return np.where(rng.random(triangles.shape) < 0.5, near, other).astype(float)
+
+
+def single(triangles):
+    return np.float32(triangles).astype(float)
+
+
+def at(place, triangles):
+    return triangles + np.array(place)
+
+
+def farthest_away(triangles, mesh):
+    """How far corners and middles of triangles are from a mesh, at most; 0 in it."""
+    scene = scene_of(Shapes.of_meshes(mesh, [0, 0, 0]))
+    places = np.concatenate((triangles.reshape(-1, 3), triangles.mean(axis=1)))
+    return scene.nearest_many(places).distances.max()
+
+
+def has_area(triangle):
+    a, b, c = ([Fraction(x) for x in corner] for corner in triangle.tolist())
+    p, q = ([x - y for x, y in zip(other, a, strict=True)] for other in (b, c))
+    return any(p[i] * q[i - 1] != p[i - 1] * q[i] for i in range(3))
+
+
+@pytest.mark.parametrize('seed', range(5))
+def test_seams_that_rounding_parted_are_closed(seed):
+    rng = np.random.default_rng(seed)
+    triangles = parted(RING + rng.uniform(-1, 1, 3), rng)
+    solid, shell = Mesh(triangles), Mesh(triangles, solid=False)
+    assert (solid.convex, solid.closed, solid.dropped) == (False, True, 0)
+    assert farthest_away(triangles, solid) <= 2.0 * HALF_NOISE * np.abs(triangles).max()
+    assert not shell.closed
+    assert np.array_equal(shell.vertices[shell.corners], triangles)
+
+
+WITNESSES = {
+    'a speck beside a solid': np.concatenate([TETRAHEDRON, at((2, 0, 0), 1e-8 * SPECK)]),
+    'a speck beside parted seams': np.concatenate(
+        [parted(RING, np.random.default_rng(1)), at((2, 0, 0), 1e-8 * SPECK)]
+    ),
+    'a fine open box far away': single(
+        at((16000, 0, 0), np.concatenate([CUBE, at((2, 0, 0), 0.001 * CUBE[2:])]))
+    ),
+    'two sheets as near as rounding': np.concatenate([SHEET, at((0, 0, 1e-7), SHEET)]),
+    'two sheets, other diagonals': np.concatenate(
+        [SHEET, at((0, 0, 1e-7), SHEET[:, :, [1, 0, 2]])]
+    ),
+    'two sheets far away': np.concatenate([10 * SHEET + 5e6, 10 * SHEET + (5e6, 5e6, 5e6 + 0.5)]),
+    'a sliver': np.array([[(0, 0, 0), (1, 0, 0), (1, 1e-9, 0)]]),
+    'one triangle far away': np.array([[(9e6, 0, 0), (9e6 + 1, 0, 0), (9e6, 1, 0)]]),
+    'a needle beside a ring': np.concatenate(
+        [RING, at((2, 0, 0), TETRAHEDRON[1:] * (3, 1e-8, 1e-8))]
+    ),
+}
+
+
+@pytest.mark.parametrize('solid', [None, False])
+@pytest.mark.parametrize('name', WITNESSES)
+def test_nothing_as_fine_as_rounding_is_lost(name, solid):
+    """Where a part would be gone, the surface stays open, and each corner where it is."""
+    triangles = WITNESSES[name]
+    mesh = Mesh(triangles, solid=solid)
+    assert (mesh.solid, mesh.closed, mesh.dropped) == (False, False, 0)
+    assert np.array_equal(mesh.vertices[mesh.corners], triangles)
+    with pytest.raises(ValueError, match='must be closed'):
+        Mesh(triangles, solid=True)
+
+
+@pytest.mark.parametrize('seed', range(60))
+def test_every_given_triangle_is_there(seed):
+    """Parted seams beside parts of any size, near and far: what is kept lies where it was."""
+    rng = np.random.default_rng(seed)
+    parts = []
+    for _ in range(rng.integers(1, 4)):
+        form = (CUBE, RING, TETRAHEDRON, SHEET)[rng.integers(4)]
+        form = form[rng.random(len(form)) < rng.choice([0.8, 1.0])]
+        size = 10.0 ** rng.uniform(-9, 1, (1, 3) if rng.random() < 0.5 else 1)
+        parts.append(form * size + rng.uniform(-2, 2, 3))
+    triangles = np.concatenate(parts) + rng.choice([0.0, 1e3, 1e6]) * rng.normal(size=3)
+    rounding = rng.integers(3)
+    triangles = (triangles, single(triangles), parted(triangles, rng))[rounding]
+    real = triangles[[has_area(triangle) for triangle in triangles]]
+    if not len(real):  # float32 has left nothing of it
+        return
+    mesh, shell = Mesh(triangles), Mesh(triangles, solid=False)
+    farthest = np.abs(triangles).max()
+    lengths = farthest if rounding else np.ptp(triangles, axis=(0, 1)).max()
+    allowed = 2.0 * HALF_NOISE * lengths * (2.0 if mesh.convex else 1.0)
+    assert farthest_away(real, mesh) <= 1e-15 * farthest + (allowed if mesh.closed else 0.0)
+    assert farthest_away(real, shell) <= 1e-15 * farthest
+    assert len(shell.corners) + shell.dropped == len(triangles)
+
+
+@pytest.mark.parametrize('name', [name for name in (*SOLIDS, *SURFACES) if name != 'wall'])
+def test_a_triangle_that_is_repeated_counts_once(name):
+    """Else one that an exporter wrote twice would open a solid, or a part be empty by parity."""
+    rng, triangles = np.random.default_rng(3), (SOLIDS | SURFACES)[name]
+    again = rng.integers(0, len(triangles), rng.integers(1, 9))
+    for other in (
+        np.concatenate((triangles, triangles[again][:, [1, 0, 2]])),
+        np.concatenate((triangles, triangles[: len(triangles) // 2])),
+    ):
+        one, more = Mesh(triangles), Mesh(other)
+        assert (more.closed, more.solid, more.key) == (one.closed, one.solid, one.key)
+        assert more.dropped == len(other) - len(triangles)
+        starts, goals = segments(triangles, 300, rng)
+        hits = [
+            scene_of(Shapes.of_meshes(mesh, [0, 0, 0])).raycast_many(starts, goals - starts, 1.0)
+            for mesh in (one, more)
+        ]
+        assert np.array_equal(hits[0].t, hits[1].t)
+
+
+def test_a_triangle_without_area_opens_nothing():
+    stray = np.array([[(0, 0, 0), (1, 1, 1), (3, 3, 3)]])
+    for triangles in (SOLIDS['ring'], np.concatenate([CUBE, at((3, 0, 0), CUBE)])):
+        mesh = Mesh(np.concatenate([triangles, stray]))
+        assert (mesh.solid, mesh.dropped) == (True, 1)
