@@ -214,6 +214,7 @@ def _note(
 # noise.
 
 
+FLAT = 2.0**-46  # of a mesh's size: what rounding may make of a height in it, and more
 NOISE = 2.0**-22  # of the lengths that were rounded: float32 rounds by up to 2**-24 of them
 SMALLEST, LARGEST = 1e-100, 1e100  # beyond, products of three lengths leave the range of doubles
 
@@ -238,6 +239,7 @@ class Closed(NamedTuple):
     used: Integers  # (k,) rows of the points
     corners: Integers  # (m, 3) rows of those
     row: Integers  # (m,) which of the given triangles they are
+    meeting: Integers  # (3 m / 2, 2) edges that are one: 3 times a triangle's row, and which
 
 
 class Linked:
@@ -267,8 +269,10 @@ class Linked:
         return _first_alike(self.sets, int(self.corners.max()) + 1)
 
     @LazyProperty
-    def at_edges(self) -> Integers:
-        """(3 m,) how many triangles meet at each edge of each; 0 if its ends coincide."""
+    def by_edge(self) -> tuple[Integers, Integers]:
+        """(3 m,) edges, 3 times a triangle's row, and which, so that the same follow each other;
+        and how many triangles meet at each edge of each, 0 if its ends coincide.
+        """
         one, two = self.corners.ravel(), self.corners.take([1, 2, 0], axis=1).ravel()
         low, high = np.minimum(one, two), np.maximum(one, two)
         order, begins = _runs(low * (int(high.max()) + 1) + high)
@@ -276,12 +280,12 @@ class Linked:
         count = np.empty(len(order), np.int64)
         count[order] = np.repeat(times, times)
         count[low == high] = 0
-        return count
+        return order, count
 
     @property
     def open_edges(self) -> Integers:
-        """Those at which an odd number of triangles meets: 3 times a triangle's row, and which."""
-        return np.flatnonzero(self.at_edges & 1)
+        """Those of them at which an odd number of triangles meets."""
+        return np.flatnonzero(self.by_edge[1] & 1)
 
 
 class Given:
@@ -332,9 +336,7 @@ def convex_surface(given: Given) -> Surface:
     vertices, rows = points[closed.used], closed.corners
     normals, heights, middle = _planes(vertices, rows)
     sliver = heights <= noise
-    # Else a tetrahedron, which is convex. Every node makes one when it starts, and need not import
-    # a library for that.
-    if len(points) > 4 or sliver.any():
+    if sliver.any() or not bends_outwards(vertices - middle, closed, normals, heights):
         lies = lying(points, closed.used[rows], noise)
         worst = int(np.argmax(lies.depths))
         if lies.depths[worst] > noise:
@@ -344,8 +346,8 @@ def convex_surface(given: Given) -> Surface:
                 f'{depth:.3g} m within the hull of all corners, and {allowed:.3g} m are allowed'
             )
         normals[sliver] = lies.normals[sliver]
-    if not goes_around(vertices.take(rows, axis=0) - middle, heights):
-        raise ValueError('the mesh is not the surface of one convex solid')
+        if not goes_around(vertices.take(rows, axis=0) - middle, heights):
+            raise ValueError('the mesh is not the surface of one convex solid')
     return Surface(given.points[closed.used], rows, closed.row, normals)
 
 
@@ -434,7 +436,7 @@ def _closed(linked: Linked) -> Closed:
     if surface is not linked and not (there := np.isin(linked.corners, used)).all():
         bad = int(np.argmin(there.all(axis=1)))
         raise ValueError(f'triangle {bad} has no area, and is no part of the surface')
-    count = surface.at_edges
+    order, count = surface.by_edge
     if (count != 2).any():
         bad = int(np.argmax(count != 2))
         raise ValueError(
@@ -443,7 +445,7 @@ def _closed(linked: Linked) -> Closed:
         )
     if 2 * len(used) - len(row) != 4:  # Euler: one surface without holes
         raise ValueError('the mesh is not the surface of one convex solid')
-    return Closed(used, corners, row)
+    return Closed(used, corners, row, order.reshape(-1, 2))
 
 
 def _used(corners: Integers) -> tuple[Integers, Integers]:
@@ -503,6 +505,31 @@ def _planes(vertices: Floats, corners: Integers) -> tuple[Floats, Floats, Floats
     normals /= np.where(area > 0.0, area, 1.0)[:, None]
     normals[np.einsum('ni,ni->n', normals, one - middle) < 0] *= -1.0
     return normals, heights, middle
+
+
+def bends_outwards(vertices: Floats, closed: Closed, normals: Floats, heights: Floats) -> bool:
+    """Whether a closed surface is surely convex, without its hull: at each edge both triangles lie
+    below the plane of the other one, the origin lies below all planes, and the surface goes around
+    it once. Then each line from the origin leaves it once, so it does not cross itself; and what
+    bends outwards everywhere is convex (Tietze, 1928).
+    """
+    rounded = FLAT / heights  # unit normals of thin triangles have fewer digits
+    corners, (one, two) = closed.corners.ravel(), closed.meeting.T
+    for edge, other in ((one, two), (two, one)):
+        here, opposite = edge // 3, other // 3 * 3 + (other + 2) % 3
+        away = vertices.take(corners.take(opposite), axis=0)
+        away -= vertices.take(corners.take(edge), axis=0)
+        above = np.einsum('ni,ni->n', normals.take(here, axis=0), away)
+        if (above >= -rounded.take(here) * np.linalg.norm(away, axis=1)).any():
+            return False
+    one, two, three = _places(vertices, closed.corners)
+    if (np.einsum('ni,in->n', normals, one) <= rounded).any():
+        return False
+    # The solid angle under which each triangle is seen (Van Oosterom and Strackee, 1983).
+    one, two, three = (place / np.sqrt(_squares(place)) for place in (one, two, three))
+    volumes = np.abs((one * _crossed(two, three)).sum(axis=0))
+    cosines = (one * two + two * three + three * one).sum(axis=0)
+    return round(float(np.arctan2(volumes, 1.0 + cosines).sum()) / (2.0 * math.pi)) == 1
 
 
 def goes_around(triangles: Floats, heights: Floats) -> bool:

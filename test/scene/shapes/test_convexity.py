@@ -55,6 +55,35 @@ def test_a_surface_that_bends_inwards_a_little_at_a_time_is_refused(segments):
                 mesh_of(form(duct(segments, angle, turn)).astype(np.float64), 'convex')
 
 
+@pytest.mark.parametrize(('corners', 'step'), [(5, 1), (5, 2), (7, 2), (7, 3), (8, 3), (11, 5)])
+def test_what_bends_outwards_everywhere_but_goes_around_more_than_once_is_not_convex(
+    corners, step
+):
+    """Two pyramids over a star: they bend inwards at no edge. Over a polygon they are convex."""
+    angles = 2.0 * np.pi * step * np.arange(corners) / corners
+    rim = np.stack([np.cos(angles), np.sin(angles), 0.0 * angles], 1)
+    tips = (np.broadcast_to((0.0, 0.0, z), rim.shape) for z in (1.0, -1.0))
+    star = np.concatenate([np.stack([rim, np.roll(rim, -1, 0), tip], 1) for tip in tips])
+    for form in (star, star * (1.0, 1.0, 1e-3), single(star + 3.0).astype(np.float64)):
+        assert Mesh(form).convex == (step == 1)
+
+
+@pytest.mark.parametrize('count', [30, 300])
+def test_one_corner_within_the_hull_is_found(count):
+    """The hull of points on a ball bends outwards at each edge, and not if one of them sinks."""
+    points = np.random.default_rng(count).normal(size=(count, 3))
+    points /= np.linalg.norm(points, axis=1)[:, None]
+    faces = ConvexHull(points).simplices
+    assert Mesh(points, faces).convex
+    assert Mesh(single(points).astype(np.float64), faces).convex
+    for row in range(min(count, 30)):
+        others = faces[(faces == row).any(axis=1)]
+        around = points[np.setdiff1d(others, row)].mean(axis=0)
+        sunk = points.copy()
+        sunk[row] = around - 1e-3 * around / np.linalg.norm(around)
+        assert not Mesh(sunk, faces).convex
+
+
 def test_the_depth_of_a_dent_decides():
     """A cube whose one side has a shallow pit, around the limit; told rightly in metres."""
     plate = cut_cube(4)
