@@ -5,7 +5,6 @@
 import hashlib
 import math
 import os
-from fractions import Fraction
 from typing import Any, NamedTuple
 from weakref import WeakValueDictionary
 
@@ -204,19 +203,18 @@ def _note(
     found.depths[rows[less]], found.normals[rows[less]] = depths[less], equations[less, :3]
 
 
-# ---- Whether triangles are the closed surface of one convex solid, given as exporters write
-# them: in float32, wound anyhow, each corner once a triangle, slivers and triangles without area
-# among them.
+# ---- Which triangles count, and whether they are closed. Exporters write them in float32, wound
+# anyhow, each corner once a triangle, with slivers and triangles without area among them.
 #
-# Rounding moves a corner by up to `noise`. A surface may bend inwards by no more than the noise,
-# and corners within half the noise of each other on every axis become one. So nowhere do the
-# given surface, the hull of all given corners and the solid that is kept differ by more than the
-# noise.
+# They are closed if an even number meets at every edge, no more: parts may touch, cross and lie in
+# each other. A triangle without area is crossed by no line, but may close the seam between others:
+# so it counts for the edges, and is left out afterwards.
+#
+# Rounding moves a corner by up to `noise`. So corners of open edges that are within half the noise
+# of each other on every axis become one, if that closes the surface.
 
 
-FLAT = 2.0**-46  # of a mesh's size: what rounding may make of a height in it, and more
 NOISE = 2.0**-22  # of the lengths that were rounded: float32 rounds by up to 2**-24 of them
-SMALLEST, LARGEST = 1e-100, 1e100  # beyond, products of three lengths leave the range of doubles
 
 
 class Surface(NamedTuple):
@@ -231,15 +229,6 @@ class Surface(NamedTuple):
     normals: Floats
     """(m, 3) unit normals. Of a convex surface they point outwards, and a sliver has that of a
     plane that holds the solid there."""
-
-
-class Closed(NamedTuple):
-    """Triangles of which two meet at every edge."""
-
-    used: Integers  # (k,) rows of the points
-    corners: Integers  # (m, 3) rows of those
-    row: Integers  # (m,) which of the given triangles they are
-    meeting: Integers  # (3 m / 2, 2) edges that are one: 3 times a triangle's row, and which
 
 
 class Linked:
@@ -289,7 +278,9 @@ class Linked:
 
 
 class Given:
-    """Finite triangles as they are given: rows (m, 3) of places (n, 3), all of which are used."""
+    """Finite triangles, rows (m, 3) of places (n, 3), but for those that are surely no part of a
+    surface. ValueError if there are no others.
+    """
 
     def __init__(self, places: Floats, rows: Integers) -> None:
         places = places + 0.0  # of zeros one sign
@@ -298,6 +289,13 @@ class Given:
         """(k, 3), each once."""
         self.linked = Linked(number.take(rows))
         """Rows of these."""
+        self.rows = _joined(self.points, self.linked)
+        """(m,) which of the given triangles they are."""
+        if not len(self.rows):
+            raise ValueError('the mesh has no triangle with an area')
+        if len(self.rows) < len(rows):
+            used, corners = _used(self.linked.corners[self.rows])
+            self.points, self.linked = self.points[used], Linked(corners)
         lo, hi = _bounds(self.points)
         self.middle: Floats = lo * 0.5 + hi * 0.5
         self.farthest: Floats = np.maximum(-lo, hi)
@@ -313,42 +311,76 @@ class Given:
         return NOISE * np.maximum(self.extent, self.farthest * single)
 
 
-def convex_surface(given: Given) -> Surface:
-    """The surface of triangles; ValueError, saying why, if it is not closed and convex."""
-    extent = given.extent
-    if given.largest == 0.0 or extent == 0.0:
-        raise ValueError('the mesh has no triangle with an area')
-    if extent < SMALLEST or given.largest > LARGEST:
-        raise ValueError('the mesh is too small or too large')
-    # About the middle, in a power of two: nothing over- or underflows, and little is rounded.
-    exponent = math.frexp(extent)[1]
-    points = (given.points - given.middle) * math.ldexp(1.0, -exponent)
-    along = given.noise * math.ldexp(1.0, -exponent)
-    noise = float(along.max())
-    _require_thickness(points, given.linked.corners, noise)
-    try:
-        closed = _closed(given.linked.moved(weld(points, 0.5 * along)))
-    except ValueError as reason:
-        try:  # a part finer than the noise may fold where it is welded
-            closed = _closed(given.linked)
-        except ValueError:
-            raise reason from None
-    vertices, rows = points[closed.used], closed.corners
-    normals, heights, middle = _planes(vertices, rows)
-    sliver = heights <= noise
-    if sliver.any() or not bends_outwards(vertices - middle, closed, normals, heights):
-        lies = lying(points, closed.used[rows], noise)
-        worst = int(np.argmax(lies.depths))
-        if lies.depths[worst] > noise:
-            depth, allowed = (math.ldexp(x, exponent) for x in (float(lies.depths[worst]), noise))
-            raise ValueError(
-                f'the mesh is not convex at triangle {int(closed.row[worst])}: it lies '
-                f'{depth:.3g} m within the hull of all corners, and {allowed:.3g} m are allowed'
-            )
-        normals[sliver] = lies.normals[sliver]
-        if not goes_around(vertices.take(rows, axis=0) - middle, heights):
-            raise ValueError('the mesh is not the surface of one convex solid')
-    return Surface(given.points[closed.used], rows, closed.row, normals)
+def _joined(points: Floats, linked: Linked) -> Integers:
+    """Rows of triangles but for those without an area that join no others: two of their corners
+    are one, or they have an edge of their own.
+    """
+    low, middle, high = linked.sets.T
+    kept = np.flatnonzero((low < middle) & (middle < high))
+    first = linked.first[kept]
+    once = kept[first == kept]
+    while len(once):
+        form = linked.part(once)
+        alone = np.flatnonzero((form.by_edge[1].reshape(-1, 3) == 1).any(axis=1))
+        strays = alone[~_have_area(points, form.corners[alone])]
+        if not len(strays):
+            break
+        once = np.delete(once, strays)
+    return kept if len(once) == len(kept) else kept[np.isin(first, once)]
+
+
+def closed_if_possible(given: Given, stitch: bool) -> tuple[Integers, Linked]:
+    """(rows of those that count, these), closed if they can be: as given; or `stitch`, with seams
+    that exporters rounded welded. Else each once.
+    """
+    found = _closed_rows(given.linked)
+    if found is None and stitch:
+        found = _closed_rows(_stitched(given))
+    return found or _each_once(given.linked)
+
+
+def _each_once(linked: Linked) -> tuple[Integers, Linked]:
+    once = np.flatnonzero(linked.first == np.arange(len(linked.first)))
+    return once, linked.part(once)
+
+
+def _closed_rows(linked: Linked) -> tuple[Integers, Linked] | None:
+    """Each triangle once, if these are closed, or all, if only they are; None if neither are.
+
+    By parity, a part that is given twice would hold nothing. But two boxes may share a wall that
+    both have. A sheet on both sides is no closed surface.
+    """
+    once, form = _each_once(linked)
+    if not len(form.open_edges):
+        return once, form
+    if (np.bincount(linked.first) & 1).any() and not len(linked.open_edges):
+        return np.arange(len(linked.first)), linked
+    return None
+
+
+def _stitched(given: Given) -> Linked:
+    """Triangles whose corners along open edges are welded, as if exporters had rounded them; as
+    they are if one of them would be gone: one that loses its area must lie along an edge of one
+    that does not.
+    """
+    linked, count = given.linked, len(given.points)
+    _, form = _each_once(linked)
+    open_at, at_rim, becomes = form.open_edges, np.zeros(count, np.bool_), np.arange(count)
+    at_rim[form.corners.take(open_at)] = True
+    at_rim[form.corners.take([1, 2, 0], axis=1).take(open_at)] = True
+    rim = np.flatnonzero(at_rim)
+    becomes[rim] = rim[weld(given.points[rim], 0.5 * given.noise)]
+    welded = linked.moved(becomes)
+    moved = np.flatnonzero((welded.corners != linked.corners).any(axis=1))
+    before, after = (_have_area(given.points, form.corners[moved]) for form in (linked, welded))
+    gone = moved[before & ~after]
+    if not len(gone):
+        return welded
+    kept = _have_area(given.points, welded.corners)
+    edges = welded.sets[kept][:, [0, 1, 1, 2, 0, 2]].reshape(-1, 2) @ (count, 1)
+    low, middle, high = welded.sets[gone].T
+    along = ((low == middle) | (middle == high)) & np.isin(low * count + high, edges)
+    return welded if along.all() else linked
 
 
 SPREAD = 0x1E3779B97F4A7C15  # an odd number that spreads the bits of what it multiplies
@@ -421,31 +453,26 @@ def weld(points: Floats, tolerance: Floats) -> Integers:
     return becomes
 
 
-def _closed(linked: Linked) -> Closed:
-    """Those with three different corners, each once; ValueError if they are not closed.
-
-    One whose corners coincide is an edge: its neighbours meet there without it.
+def _have_area(points: Floats, corners: Integers) -> NDArray[np.bool_]:
+    """Which triangles, rows (m, 3) of points, have an area, exactly: those that seem to have none
+    are looked at in whole numbers.
     """
-    low, middle, high = linked.sets.T
-    real = (low < middle) & (middle < high)
-    if not real.any():
-        raise ValueError('the mesh has no triangle with an area')
-    row = np.flatnonzero(real & (linked.first == np.arange(len(real))))
-    surface = linked.part(row)
-    used, corners = _used(surface.corners)
-    if surface is not linked and not (there := np.isin(linked.corners, used)).all():
-        bad = int(np.argmin(there.all(axis=1)))
-        raise ValueError(f'triangle {bad} has no area, and is no part of the surface')
-    order, count = surface.by_edge
-    if (count != 2).any():
-        bad = int(np.argmax(count != 2))
-        raise ValueError(
-            'the mesh is not closed as a convex solid is: an edge of triangle '
-            f'{int(row[bad // 3])} belongs to {int(count[bad])} triangles, not two'
-        )
-    if 2 * len(used) - len(row) != 4:  # Euler: one surface without holes
-        raise ValueError('the mesh is not the surface of one convex solid')
-    return Closed(used, corners, row, order.reshape(-1, 2))
+    one, two, three = _places(np.ldexp(points, -math.frexp(np.abs(points).max())[1]), corners)
+    sides = two - one, three - one
+    longer = np.maximum(*(_squares(side) for side in sides))
+    have = _squares(_crossed(*sides)) > (DOUBTFUL * longer) ** 2 + TINY
+    left = np.flatnonzero(~have)
+    if len(left):
+        parts, exponents = np.frexp(points.take(corners[left], axis=0))
+        shifts = np.where(parts == 0.0, 0, exponents - exponents.min()).astype(object)
+        a, b, c = ((parts * 2.0**53).astype(np.int64).astype(object) << shifts).transpose(1, 2, 0)
+        have[left] = _crossed(b - a, c - a).any(axis=0)
+    return have
+
+
+# A cross product below may be all rounding: a share of the longer side's square; and a square of
+# such products that may have left the range of doubles.
+DOUBTFUL, TINY = 2.0**-40, 2.0**-1000
 
 
 def _used(corners: Integers) -> tuple[Integers, Integers]:
@@ -483,6 +510,83 @@ def _squares(columns: Floats) -> Floats:
     return x * x + y * y + z * z
 
 
+# ---- Whether closed triangles are the surface of one convex solid.
+#
+# A surface may bend inwards by no more than the noise. So nowhere do the given surface, the hull
+# of all corners and the solid that is kept differ by more.
+
+
+FLAT = 2.0**-46  # of a mesh's size: what rounding may make of a height in it, and more
+SMALLEST, LARGEST = 1e-100, 1e100  # beyond, products of three lengths leave the range of doubles
+
+
+class Closed(NamedTuple):
+    """Triangles of which two meet at every edge."""
+
+    used: Integers  # (k,) rows of the points
+    corners: Integers  # (m, 3) rows of those
+    kept: Integers  # (m,) which of the triangles they are
+    meeting: Integers  # (3 m / 2, 2) edges that are one: 3 times a triangle's row, and which
+
+
+def convex_surface(given: Given, rows: Integers, linked: Linked) -> Surface:
+    """The surface of triangles, which are `rows` of those given; ValueError, saying why, if it is
+    not closed and convex.
+    """
+    if given.extent < SMALLEST or given.largest > LARGEST:
+        raise ValueError('the mesh is too small or too large')
+    # About the middle, in a power of two: nothing over- or underflows, and little is rounded.
+    exponent = math.frexp(given.extent)[1]
+    points = (given.points - given.middle) * math.ldexp(1.0, -exponent)
+    noise = math.ldexp(float(given.noise.max()), -exponent)
+    _require_thickness(points, given.linked.corners, noise)
+    rows = given.rows[rows]
+    closed = _closed(rows, linked)
+    vertices, corners = points[closed.used], closed.corners
+    normals, heights, middle = _planes(vertices, corners)
+    sliver = heights <= noise
+    if sliver.any() or not bends_outwards(vertices - middle, closed, normals, heights):
+        lies = lying(points, closed.used[corners], noise)
+        worst = int(np.argmax(lies.depths))
+        if lies.depths[worst] > noise:
+            depth, allowed = (math.ldexp(x, exponent) for x in (float(lies.depths[worst]), noise))
+            raise ValueError(
+                f'the mesh is not convex at triangle {int(rows[closed.kept[worst]])}: it lies '
+                f'{depth:.3g} m within the hull of all corners, and {allowed:.3g} m are allowed'
+            )
+        normals[sliver] = lies.normals[sliver]
+        around = goes_around(vertices.take(corners, axis=0) - middle, heights)
+        if not around or parts_of(corners)[0] > 1:
+            raise ValueError('the mesh is not the surface of one convex solid')
+    real = ~sliver
+    real[sliver] = _have_area(given.points, closed.used[corners[sliver]])
+    used, corners = _used(corners[real])
+    vertices = given.points[closed.used[used]]
+    return Surface(vertices, corners, rows[closed.kept[real]], normals[real])
+
+
+def _closed(rows: Integers, linked: Linked) -> Closed:
+    """Those with three different corners, `rows` as given; ValueError if they are not closed. One
+    whose corners have become one is an edge: its neighbours meet there without it.
+    """
+    low, middle, high = linked.sets.T
+    kept = np.flatnonzero((low < middle) & (middle < high))
+    surface = linked.part(kept)
+    order, count = surface.by_edge
+    if (count != 2).any():
+        is_open = len(surface.open_edges) > 0
+        bad = int(surface.open_edges[0] if is_open else np.argmax(count != 2))
+        what = 'closed' if is_open else 'the surface of one convex solid'
+        raise ValueError(
+            f'the mesh is not {what}: an edge of triangle {int(rows[kept[bad // 3]])} belongs to '
+            f'{int(count[bad])} triangles, not two'
+        )
+    used, corners = _used(surface.corners)
+    if 2 * len(used) - len(kept) != 4:  # Euler: one surface without holes
+        raise ValueError('the mesh is not the surface of one convex solid')
+    return Closed(used, corners, kept, order.reshape(-1, 2))
+
+
 def _require_thickness(points: Floats, corners: Integers, noise: float) -> None:
     one, two, three = _places(points, corners)
     normals = _crossed(two - one, three - one)
@@ -500,7 +604,8 @@ def _planes(vertices: Floats, corners: Integers) -> tuple[Floats, Floats, Floats
     normals = np.cross(two - one, three - one)
     area = np.linalg.norm(normals, axis=1)
     sides = (two - one, three - two, one - three)
-    heights = area / np.max([np.linalg.norm(side, axis=1) for side in sides], axis=0)
+    longest = np.max([np.linalg.norm(side, axis=1) for side in sides], axis=0)
+    heights = area / np.where(longest > 0.0, longest, 1.0)
     middle = area @ (one + two + three) / (3.0 * area.sum())
     normals /= np.where(area > 0.0, area, 1.0)[:, None]
     normals[np.einsum('ni,ni->n', normals, one - middle) < 0] *= -1.0
@@ -764,31 +869,24 @@ def interpolated(square, side, weights):
 
 NO_REACHES = np.empty((0, CORNERS, CORNERS, 2))
 
-# ---- The surface of any triangles, and whether it is closed.
-#
-# What counts inside by the parity of crossings needs an even number of triangles at every edge,
-# no more: parts may touch, cross and lie in each other, and triangles may be wound anyhow. A
-# triangle without area is crossed by no line, but may close the seam between others: so it counts
-# for the edges, and is left out afterwards. A triangle that is given several times counts once:
-# by parity a part that is written on both sides would hold nothing. Only where that leaves edges
-# open all count, as the wall between two boxes that share it.
+# ---- The surface of any triangles.
+
 
 CONVEX, SOLID, SHELL = range(3)  # forms of a mesh
 
 
-def any_surface(given: Given, solid: bool | None) -> tuple[Surface, bool]:
-    """(the triangles that have an area, whether all of them are closed); ValueError if they have
-    to be closed, as they are `solid`, and are not. Where that is False, corners stay as they are.
+def any_surface(
+    given: Given, rows: Integers, linked: Linked, solid: bool | None
+) -> tuple[Surface, bool]:
+    """(triangles that have an area, `rows` of those given, whether all of them are closed);
+    ValueError if they have to be closed, as they are `solid`, and are not.
     """
-    if given.extent == 0.0:
-        raise ValueError('the mesh has no triangle with an area')
     if not (given.extent > SMALLEST_SURFACE and given.largest < LARGEST_SURFACE):
         raise ValueError(
             'the mesh is too small or too large: unless it is convex, it must be larger than '
             f'{SMALLEST_SURFACE} m, and lie within {LARGEST_SURFACE} m'
         )
-    rows, linked = _closed_if_possible(given, solid is not False)
-    open_at = linked.open_edges
+    open_at, rows = linked.open_edges, given.rows[rows]
     if len(open_at) and solid:
         raise ValueError(
             'a solid mesh must be closed: an odd number of triangles meets at an edge of '
@@ -805,68 +903,6 @@ def any_surface(given: Given, solid: bool | None) -> tuple[Surface, bool]:
     normals /= np.where(length > 0.0, length, 1.0)
     normals = np.ascontiguousarray(normals.T)
     return Surface(vertices, corners, rows[real], normals), not len(open_at)
-
-
-def _closed_if_possible(given: Given, stitch: bool) -> tuple[Integers, Linked]:
-    """(rows of triangles, each once, these) if that is closed, else if that is: without those that
-    have no area; all that are given; `stitch`, welded along open edges. If nothing is, each once.
-    """
-    first = given.linked.first
-    every = np.arange(len(first))
-    once = np.flatnonzero(first == every)
-    linked = given.linked.part(once)
-    if not len(linked.open_edges):
-        return once, linked
-    real = _have_area(given.points, linked.corners)
-    forms = [(once[real], linked.part(np.flatnonzero(real)))]
-    if (np.bincount(first) & 1).any():  # else a sheet on both sides would be closed
-        forms.append((every, given.linked))
-    if stitch:
-        forms.append((once, _stitched(given, linked, real)))
-    for rows, form in forms:
-        if len(rows) and not len(form.open_edges):
-            return rows, form
-    return once, linked
-
-
-def _stitched(given: Given, linked: Linked, real: NDArray[np.bool_]) -> Linked:
-    """The same with corners along open edges welded, as exporters round them, if that closes it
-    and loses nothing. Of the `real` ones, those with an area, none may become another, and one
-    that loses its area must lie along an edge of one that does not.
-    """
-    open_at, count = linked.open_edges, len(given.points)
-    ends = linked.corners.take(open_at), linked.corners.take([1, 2, 0], axis=1).take(open_at)
-    rim, becomes = np.unique(np.concatenate(ends)), np.arange(count)
-    becomes[rim] = rim[weld(given.points[rim], 0.5 * given.noise)]
-    welded = linked.moved(becomes)
-    if len(welded.open_edges):
-        return linked
-    kept = _have_area(given.points, welded.corners)
-    edges = welded.sets[kept][:, [0, 1, 1, 2, 0, 2]].reshape(-1, 2) @ (count, 1)
-    low, middle, high = welded.sets.T
-    along = ((low == middle) | (middle == high)) & np.isin(low * count + high, edges)
-    single = welded.first == np.arange(len(kept))
-    return welded if np.where(kept, single, along)[real].all() else linked
-
-
-def _have_area(points: Floats, corners: Integers) -> NDArray[np.bool_]:
-    """Which triangles, rows (m, 3) of points, have an area, exactly: those that seem to have none
-    are looked at in rational numbers.
-    """
-    one, two, three = _places(points, corners)
-    sides = two - one, three - one
-    longer = np.maximum(*(_squares(side) for side in sides))
-    have = _squares(_crossed(*sides)) > (DOUBTFUL * longer) ** 2 + TINY
-    for row in np.flatnonzero(~have).tolist():
-        a, b, c = ([Fraction(x) for x in corner] for corner in points[corners[row]].tolist())
-        p, q = ([x - y for x, y in zip(other, a, strict=True)] for other in (b, c))
-        have[row] = any(p[i] * q[i - 1] != p[i - 1] * q[i] for i in range(3))
-    return have
-
-
-# A cross product below may be all rounding: a share of the longer side's square; and a square of
-# such products that may have left the range of doubles.
-DOUBTFUL, TINY = 2.0**-40, 2.0**-1000
 
 
 def _each(value: ArrayLike) -> tuple[Floats, Integers]:
@@ -968,13 +1004,15 @@ class Mesh:
     Notes
     -----
     A mesh is convex if it is the closed surface of one convex solid. The triangles are taken as
-    rounded to float32 for that: corners as near as that become one, and by as little, 2.4e-7 of
-    its size, the surface may lie within the hull of its corners. Corners along open edges become
-    one, too, if that closes a mesh and no triangle is lost; those of a shell never do.
+    rounded to float32 for that: by 2.4e-7 of its size the surface may lie within the hull of its
+    corners. Corners along open edges that are within half of that become one, if that closes the
+    mesh and no triangle is lost; those of a shell never do.
 
     A point is inside a solid if a line from there crosses the surface an odd number of times. So
     of two nested closed surfaces the inner one is a hollow. A triangle that is given several times
     counts once, unless the mesh is closed only with all of them, as two boxes that share a wall.
+    A sheet on both sides is not closed. Triangles without an area are left out; before that, they
+    may close the seam between others.
 
     Raises
     ------
@@ -1003,13 +1041,14 @@ class Mesh:
         self.closed = True
         """Whether an even number of triangles meets at every edge."""
         given = Given(places, rows)
+        counted = closed_if_possible(given, solid is not False)
         try:
             if self.not_convex:
                 raise ValueError(self.not_convex)
-            surface = convex_surface(given)
+            surface = convex_surface(given, *counted)
         except ValueError as reason:
             self.not_convex = str(reason)
-            surface, self.closed = any_surface(given, None if solid is None else bool(solid))
+            surface, self.closed = any_surface(given, *counted, solid)
         self.convex = not self.not_convex
         """Whether it is the surface of one convex solid, and solid."""
         self.solid = self.closed and solid is not False
@@ -1166,14 +1205,21 @@ class Mesh:
         """(k, 3) a corner of each part whose triangles hang together."""
         if self.convex:
             return self.vertices[:1]
-        from scipy.sparse import coo_matrix
-        from scipy.sparse.csgraph import connected_components
+        return self.vertices[np.unique(parts_of(self.corners)[1], return_index=True)[1]]
 
-        count, (one, two, three) = len(self.vertices), self.corners.T
-        links = np.ones(2 * len(one), np.bool_), (np.r_[one, two], np.r_[two, three])
-        number = connected_components(coo_matrix(links, (count, count)), directed=False)[1]
-        used = np.unique(self.corners)
-        return self.vertices[used[np.unique(number[used], return_index=True)[1]]]
+
+def parts_of(corners: NDArray[Any]) -> tuple[int, NDArray[Any]]:
+    """How many parts of triangles (m, 3) do not hang together, and (k,) in which each vertex is;
+    all vertices are corners.
+    """
+    from scipy.sparse import coo_matrix
+    from scipy.sparse.csgraph import connected_components
+
+    one, two, three = corners.T
+    links = np.ones(2 * len(one), np.bool_), (np.r_[one, two], np.r_[two, three])
+    count = int(corners.max()) + 1
+    number, part = connected_components(coo_matrix(links, (count, count)), directed=False)
+    return int(number), part
 
 
 def tree_over(places: Floats, corners: NDArray[np.int32], size: float) -> OpenTree:

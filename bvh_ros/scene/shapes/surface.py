@@ -700,6 +700,7 @@ def closest_on_segment(a, b, point, out):
 
 
 FOOT = 2.0**-46  # of the coordinates: how far a foot may be off
+MINUTE = 2.0**-200  # of a triangle's longest edge: a shorter way to its foot has lost digits
 ROUND = 2.0**-20  # of the square of a triangle's longest edge: of more, its normal has digits
 
 
@@ -711,12 +712,13 @@ def closest_on_triangle(vertices, corner, point, out):
 
 
 @inlined
-def is_between(a, b, c, point, place):
+def is_between(a, b, c, point, place, edge):
     """Whether a place is in the box around a triangle, but for what rounds it at a point."""
     inside = True
     for axis in range(3):
         low, high = min(a[axis], b[axis], c[axis]), max(a[axis], b[axis], c[axis])
-        doubt = FOOT * max(abs(point[axis]), abs(low), abs(high), abs(point[axis] - place[axis]))
+        doubt = max(abs(point[axis]), abs(low), abs(high), abs(point[axis] - place[axis]))
+        doubt = FOOT * max(doubt, MINUTE * edge)
         inside = inside and low - doubt <= place[axis] <= high + doubt
     return inside
 
@@ -745,7 +747,7 @@ def closest_between(a, b, c, point, out):
     if square > 0.0 and min(u, v, w) >= 0.0:
         share = (nx * ax + ny * ay + nz * az) / square
         out[0], out[1], out[2] = x + share * nx, y + share * ny, z + share * nz
-        if is_between(a, b, c, point, out):
+        if is_between(a, b, c, point, out, edge):
             best = (x - out[0]) ** 2 + (y - out[1]) ** 2 + (z - out[2]) ** 2
             if is_round:
                 return best

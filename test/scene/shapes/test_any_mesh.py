@@ -548,3 +548,16 @@ def test_what_reaches_a_mesh_from_beyond_all_squares_touches_it(solid, decade, p
         assert np.isclose(found.distances[0], 0.5 * far, rtol=1e-12)
         found = scene.clearance_many(cube)
         assert 0.91 * far < found.distances[0] < 0.96 * far
+
+
+@pytest.mark.parametrize('size', [1e-20, 3e-12, 1.7, 3.0, 1.3e8, 1e21])
+def test_a_point_off_a_triangle_by_less_than_doubles_hold(size):
+    """Its foot has lost digits there: it is the nearest point all the same."""
+    triangle = np.array([[(0, 0, 0), (1, 0, 0), (0, 0, 1)]]) * size
+    scene = scene_of(Shapes.of_meshes(Mesh(triangle), [0, 0, 0]))
+    off = np.concatenate([10.0 ** np.arange(-323.0, -200.0), [5e-324, 0.0]])
+    places = np.random.default_rng(1).uniform(0.1, 0.4, (len(off), 3)) * size
+    for side in (-1.0, 1.0):
+        places[:, 1] = side * off
+        found = scene.nearest_many(places).distances[:, 0]
+        assert (found <= np.maximum(2.0 * off, 1e-50 * size)).all()
