@@ -2,9 +2,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Meshes: whether triangles are convex or closed, and what kernels need of them."""
 
+import functools
 import hashlib
 import math
 import os
+from collections.abc import Callable
 from typing import Any, NamedTuple
 from weakref import WeakValueDictionary
 
@@ -12,8 +14,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ...tree.access import OpenTree, checks, take_snapshot
-from ...tree.compiler import WIDTH, inlined, lean_kernel, stack_array
+from ...tree.compiler import WIDTH, entry_point, inlined, lean_kernel, stack_array
 from .lazy import LazyProperty
+from .triangles32 import fill_patches
 
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -969,7 +972,8 @@ class WideNodes(NamedTuple):
     """(n, WIDTH)"""
     triangles: NDArray[np.float32]
     """(n, 9 WIDTH): the corners of the triangles that are children, in the snapshot's units: x of
-    the first corner of all, its y, and so on; zeros of other children."""
+    the first corner of all, its y, and so on; of a child that is a node its patch, see
+    `triangles32`."""
     center: Floats
     """(3,)"""
     per_length: float
@@ -985,6 +989,11 @@ NO_WIDE = WideNodes(
     1.0,
     0,
 )
+
+
+@functools.cache
+def _patches_entry() -> Callable[..., Any]:
+    return entry_point(fill_patches, *NO_WIDE[:3], np.empty((3, 0)))
 
 
 class Mesh:
@@ -1173,6 +1182,7 @@ class Mesh:
             corners = self.corners.take(~children[leaves], axis=0)
             triangles[leaves] = places.take(corners, axis=0).reshape(-1, 9)
             lanes = triangles.transpose(0, 2, 1).reshape(-1, 9 * WIDTH)
+            _patches_entry()(planes, children, lanes, np.empty((3, self.corners.size)))
             wide = WideNodes(planes, children, lanes, *units, snapshot.depth)
         nodes, _, _, root = tree.arrays()
         return nodes, int(root), wide

@@ -881,13 +881,13 @@ def visit_near(near_by, surface, query, best, limit, plane, meet, look_at):
     nodes, wide, count = surface.nodes, surface.wide, np.int64(0)
     box, entries = stack_array(6, np.float32), stack_array(STACK, np.int64)
     stack = Stack(stack_array(DEEPEST, np.int64), stack_array(DEEPEST, np.float64))
-    entries[0], top = 0, 1
+    around = Surroundings(box, stack_array(1, np.float32), plane)
+    around.limit[0], entries[0], top = square32(limit, wide.per_length), 0, 1
     suited = surround(wide, query.low, query.high, box)
     if not suited:
         top = push_root(nodes, surface.root, query, limit, stack, gap_square)
     while top > 0 and limit >= 0.0:
         if suited:
-            around = Surroundings(box, square32(limit, wide.per_length), plane)
             face, top = next_near_leaf(wide, around, entries, top, meet)
         else:
             leaf, top = next_leaf(nodes, query, limit, stack, top, gap_square)
@@ -895,6 +895,7 @@ def visit_near(near_by, surface, query, best, limit, plane, meet, look_at):
         if face == NONE:
             break
         count, limit = look_at(near_by, query, np.int64(2 * face), 0.0, best, count, limit)
+        around.limit[0] = min(around.limit[0], square32(limit, wide.per_length))
 
 
 FAR = 2.0**300  # m: no surface reaches as far by 59 decades, and products of lengths are finite

@@ -93,15 +93,15 @@ def child_of(entry):
 
 
 @inlined
-def next_child(snapshot, query, limit, mask, stack, top, meet):
+def next_child(snapshot, query, limit_of, mask, stack, top, meet):
     """The next leaf that a query may reach: (slot or NONE, top). What waits on the stack beyond
-    `limit`, as `bits_of` has it, is left out; meet(snapshot, query, node, nearest) is the bit mask
-    of the children that are met, and writes where.
+    limit_of(query), float32, is left out; meet(snapshot, query, node, nearest) is the bit mask of
+    the children that are met, and writes where.
     """
     nearest = stack_array(WIDTH, np.int32)
     while top > 0:
         top -= 1
-        if stack[top] >> 32 > limit:
+        if stack[top] >> 32 > bits_of(limit_of(query)):
             continue
         node = child_of(stack[top])
         if node < 0:
@@ -126,9 +126,13 @@ def next_line_leaf(snapshot, ray, line, mask, stack, top, meet):
     """`next_wide_leaf` of a ray = (records, place); `meet` is as of `next_child`, where the query
     is (ray, line), and begins with `meet_ray`.
     """
-    records, place = ray
-    limit = bits_of(records[place[0]].limit)
-    return next_child(snapshot, (ray, line), limit, mask, stack, top, meet)
+    return next_child(snapshot, (ray, line), _limit_of_ray, mask, stack, top, meet)
+
+
+@inlined
+def _limit_of_ray(query):
+    (records, place), _ = query
+    return records[place[0]].limit
 
 
 @inlined
@@ -150,7 +154,7 @@ class Surroundings(NamedTuple):
     box: Any
     """(6,) float32: the lower and upper sides of a box, in the snapshot's units."""
     limit: Any
-    """The largest squared distance, float32."""
+    """(1,) float32: the largest squared distance."""
     plane: Any
     """(4,) float32: see `set_plane32`."""
 
@@ -177,9 +181,15 @@ def square32(square, unit):
 def next_near_leaf(snapshot, around, stack, top, meet):
     """The next leaf whose box is within a squared distance of a box: (slot or NONE, top).
 
-    meet(snapshot, around, node, nearest) begins with `meet_boxes`, and may leave out more leaves.
+    meet(snapshot, around, node, nearest) begins with `meet_boxes`. It may leave out more children,
+    and lower the limit.
     """
-    return next_child(snapshot, around, bits_of(around.limit), ALL32, stack, top, meet)
+    return next_child(snapshot, around, _limit_around, ALL32, stack, top, meet)
+
+
+@inlined
+def _limit_around(around):
+    return around.limit[0]
 
 
 @inlined
@@ -187,7 +197,7 @@ def meet_boxes(snapshot, around, node, nearest):
     """Bit mask of the children whose boxes are near enough; `nearest` becomes the bits of their
     squared distances.
     """
-    lanes = near16(snapshot.planes, node, around.box, around.limit, nearest)
+    lanes = near16(snapshot.planes, node, around.box, around.limit[0], nearest)
     if around.plane[3] > -np.inf:
         lanes &= above16(snapshot.planes, node, around.plane)
     return lanes

@@ -37,7 +37,7 @@ from ..query.slab import (
     rounded_slabs,
     set_ray,
 )
-from ..simd.float32x16 import seen16, stream16
+from ..simd.float32x16 import at_most16, seen16, stream16
 from ..simd.float64x4 import look_ahead
 from ..simd.int32x8 import AT_ONCE, list_met8
 from ..store.turns import REFUSED, count_rays, end_query
@@ -382,11 +382,7 @@ def traverse(snapshot, tree, group, rays, scratch, tally, take, fetch, visit):
 @inlined
 def leaves_of(snapshot, node):
     """Bit mask of the children of a wide node that are leaves, or no nodes."""
-    leaves = np.uint32(0)
-    children = snapshot.children[node * WIDTH : (node + 1) * WIDTH]
-    for lane in range(WIDTH):
-        leaves |= np.uint32(children[lane] < 0) << np.uint32(lane)
-    return leaves
+    return at_most16(snapshot.children, node * WIDTH, np.int32(-1))
 
 
 @inlined

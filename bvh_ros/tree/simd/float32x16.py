@@ -148,6 +148,23 @@ def seen16(typingctx, masks, at, mask):
 
 
 @intrinsic
+def at_most16(typingctx, numbers, at, limit):
+    """Bit mask of those of numbers[at:at + 16], float32 or int32, that are not above a limit."""
+    kind = numbers.dtype
+    sig = types.uint32(numbers, types.int64, kind)
+
+    def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        wide = ir.VectorType(context.get_value_type(kind), WIDTH)
+        first = elements_at(context, builder, signature.args[0], args[0], args[1], index(WIDTH))
+        row = builder.load(builder.bitcast(first, wide.as_pointer()), align=4)
+        compare = builder.icmp_signed if kind == types.int32 else builder.fcmp_ordered
+        within = compare('<=', row, splat(builder, args[2], WIDTH))
+        return builder.zext(builder.bitcast(within, ir.IntType(WIDTH)), _INT)
+
+    return sig, codegen
+
+
+@intrinsic
 def near16(typingctx, planes, node, box, limit, nearest):
     """Bit mask of the sixteen boxes of a wide node whose squared distance from a box is within a
     limit, float32; `nearest` becomes the bits of the squares. The other box is its three lower and

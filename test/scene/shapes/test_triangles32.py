@@ -46,6 +46,42 @@ FAMILIES = {
 }
 
 
+def triangles_of(places):
+    """Two triangles a field of a grid."""
+    a, b, c, d = places[:-1, :-1], places[1:, :-1], places[1:, 1:], places[:-1, 1:]
+    return np.stack([a, b, c, a, c, d], axis=2).reshape(-1, 3, 3)
+
+
+def ring(rng):
+    """With waves."""
+    u, v = np.meshgrid(np.arange(33) % 32 / 32, np.arange(21) % 20 / 20, indexing='ij')
+    u, v = 2 * np.pi * u, 2 * np.pi * v
+    thick = 0.4 + 0.06 * np.sin(7 * u) * np.cos(3 * v)
+    wide = 1.0 + thick * np.cos(v)
+    return triangles_of(np.stack([wide * np.cos(u), wide * np.sin(u), thick * np.sin(v)], axis=2))
+
+
+def sheet(rng):
+    """Open, of fields that are longer than wide."""
+    x, y = np.meshgrid(np.linspace(-1, 1, 9), np.linspace(-1, 1, 41), indexing='ij')
+    return triangles_of(np.stack([x, y, 0.2 * np.sin(3 * x) * np.cos(4 * y)], axis=2))
+
+
+def box(rng):
+    """Many triangles in one plane, and at one distance."""
+    x, y = np.meshgrid(np.linspace(-1, 1, 9), np.linspace(-1, 1, 9), indexing='ij')
+    side = triangles_of(np.stack([x, y, np.ones_like(x)], axis=2))
+    return np.concatenate([sign * np.roll(side, k, axis=2) for k in range(3) for sign in (1, -1)])
+
+
+def soup(rng):
+    """Of all sizes, through each other."""
+    return rng.normal(size=(1000, 1, 3)) + rng.random((1000, 1, 1)) * rng.normal(size=(1000, 3, 3))
+
+
+LARGE = {'ring': ring, 'sheet': sheet, 'box': box, 'soup': soup, 'sphere': FAMILIES['sphere']}
+
+
 def points_around(triangles, rng):
     """At corners and on triangles, hardly beside them, beside them, and far away."""
     shares = rng.dirichlet((1, 1, 1), 40)
@@ -94,6 +130,48 @@ def test_no_nearer_triangle_is_left_out(name, decade):
         _, found, _, _ = whole.clearance_many(body)
         each = [scene.clearance_many(body)[1] for scene in apart]
         assert_least(found, each, rounded if len(found) == len(rounded) else rounded[::4])
+
+
+@pytest.mark.parametrize('decade', [-6, 0, 6])
+@pytest.mark.parametrize('name', LARGE)
+def test_no_patch_of_nearer_triangles_is_left_out(name, decade):
+    rng = np.random.default_rng(6)
+    triangles = LARGE[name](rng)
+    within = rng.uniform(triangles.min(axis=(0, 1)), triangles.max(axis=(0, 1)), (100, 3))
+    points = np.concatenate([points_around(triangles, rng), within, [[0.0, 0.0, 0.0]]])
+    points, triangles = points * 10.0**decade, triangles * 10.0**decade
+    whole, apart = scenes_of(triangles)
+    _, found, _ = whole.nearest_many(points)
+    each = [scene.nearest_many(points)[1][:, 0] for scene in apart]
+    assert found[:, 0].tolist() == np.min(each, axis=0).tolist()
+
+
+@pytest.mark.parametrize('name', LARGE)
+def test_a_patch_holds_its_triangles(name):
+    triangles = LARGE[name](np.random.default_rng(7)) + 0.1
+    mesh = Mesh(triangles, solid=False)
+    wide, held = mesh.wide, 0
+    lanes = wide.triangles.reshape(-1, 9, wide.children.shape[1]).transpose(0, 2, 1)
+    places = (mesh.vertices - wide.center) * wide.per_length
+    below = {}  # the triangles below each node; deeper nodes come later
+    for node in range(len(wide.children) - 1, -1, -1):
+        below[node] = []
+        for lane, child in enumerate(wide.children[node]):
+            if child < 0:
+                is_there = np.isfinite(wide.planes[node, lane])
+                below[node] += [~child] if is_there else []
+                continue
+            below[node] += below[child]
+            center, axis, (half, radius) = np.split(lanes[node, lane, :8].astype(float), [3, 6])
+            steps = places[mesh.corners[below[child]]].reshape(-1, 3) - center
+            heights = steps @ axis
+            beside = np.linalg.norm(steps - heights[:, None] * axis, axis=1)
+            assert np.linalg.norm(axis) == pytest.approx(1.0, abs=2.0**-22)
+            assert np.abs(heights).max() == pytest.approx(half, abs=2.0**-21)
+            assert beside.max() == pytest.approx(radius, abs=2.0**-21)
+            held += 1
+    assert len(below[0]) == len(mesh.corners)
+    assert held == len(wide.children) - 1
 
 
 def assert_least(found, each, rounded):
