@@ -75,9 +75,8 @@ from .arguments import (
 )
 from .batch import RowHits
 from .boxes import segment_between
-from .query import Hit, enter_obstacle, is_plain_box, no_hit, touch
+from .query import Hit, enter_obstacle, is_plain_box, no_hit, touch, walk_nodes
 from .shapes import COORDINATES, FRAME_SLACK
-from .walking import walk_nodes
 
 HALF_A_NANOSECOND = 0.5e-9  # scenes have whole ones, and less apart are but rounded otherwise
 NEAR = 2.0**-40  # of the t at which an obstacle stops: what is computed is not off by as much

@@ -20,6 +20,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ...tree.access import (
+    DEEPEST,
     DIRECTION,
     FARTHEST_ORIGIN,
     INSIDE,
@@ -27,15 +28,19 @@ from ...tree.access import (
     ORIGIN,
     STACK,
     OpenTree,
+    Stack,
     compare_hits,
     intersect_node,
     leaf_box,
     limit32,
+    next_leaf,
     next_wide_leaf,
     prepare_ray,
     push_loose,
+    push_root,
     set_ray,
     start_ray,
+    traversal_distance,
     widen,
 )
 from ...tree.compiler import inlined, lean_kernel, stack_array
@@ -67,7 +72,6 @@ from .shapes import (
     radius_of,
     time_of,
 )
-from .walking import walk_nodes
 
 EARLY, AT, LATE = range(3)  # rows: of a ball that is larger, of itself, of a smaller one
 SWEEP_SLACK = 2.0**-46
@@ -379,6 +383,24 @@ def enter_grown(nodes, node, path, limit):
         return np.inf
     grow(nodes[node], path.reach, path.box)
     return intersect_node(path.box[0], path.box[1], path.ray, limit, path.wide)
+
+
+@inlined
+def walk_nodes(nodes, root, path, scale, t_max, enter, caster, room, found, visit):
+    """Hand the leaves that a path may reach by t_max to a visitor; return what it found, `found`
+    at first. `enter` is as of `next_leaf`, in units of 2**scale; visit(caster, room, slot, found)
+    returns what is found now, and the t up to which the walk goes on.
+    """
+    limit = traversal_distance(t_max, scale)
+    stack = Stack(stack_array(DEEPEST, np.int64), stack_array(DEEPEST, np.float64))
+    top = push_root(nodes, root, path, limit, stack, enter)
+    while top > 0:
+        leaf, top = next_leaf(nodes, path, limit, stack, top, enter)
+        if leaf == NONE:
+            break
+        found, t = visit(caster, room, leaf >> 1, found)
+        limit = traversal_distance(t, scale)
+    return found
 
 
 @inlined
