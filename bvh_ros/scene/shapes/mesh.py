@@ -1,6 +1,6 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Meshes: whether triangles are convex or closed, and what kernels need of them."""
+"""Meshes: triangles in one form, and what kernels need of them."""
 
 import functools
 import hashlib

@@ -268,9 +268,9 @@ def _joined(points: Floats, linked: Linked) -> Integers:
     are one, or they have an edge of their own.
     """
     low, middle, high = linked.sets.T
-    kept = np.flatnonzero((low < middle) & (middle < high))
-    first = linked.first[kept]
-    once = kept[first == kept]
+    proper = np.flatnonzero((low < middle) & (middle < high))
+    first = linked.first[proper]
+    once = proper[first == proper]
     while len(once):
         form = linked.part(once)
         alone = np.flatnonzero((form.by_edge[1].reshape(-1, 3) == 1).any(axis=1))
@@ -278,7 +278,7 @@ def _joined(points: Floats, linked: Linked) -> Integers:
         if not len(strays):
             break
         once = np.delete(once, strays)
-    return kept if len(once) == len(kept) else kept[np.isin(first, once)]
+    return proper if len(once) == len(proper) else proper[np.isin(first, once)]
 
 
 def closed_if_possible(given: Given, stitch: bool) -> tuple[Integers, Linked]:
@@ -312,7 +312,7 @@ def _closed_rows(linked: Linked) -> tuple[Integers, Linked] | None:
 
 def _stitched(given: Given) -> Linked:
     """Triangles whose corners along open edges are welded, as if exporters had rounded them; as
-    they are if one of them would be gone: one that loses its area must lie along an edge of one
+    they are if one of them would be lost: one that loses its area must lie along an edge of one
     that does not.
     """
     linked, count = given.linked, len(given.points)
@@ -325,12 +325,12 @@ def _stitched(given: Given) -> Linked:
     welded = linked.moved(becomes)
     moved = np.flatnonzero((welded.corners != linked.corners).any(axis=1))
     before, after = (_have_area(given.points, form.corners[moved]) for form in (linked, welded))
-    gone = moved[before & ~after]
-    if not len(gone):
+    lost = moved[before & ~after]
+    if not len(lost):
         return welded
-    kept = _have_area(given.points, welded.corners)
-    edges = welded.sets[kept][:, [0, 1, 1, 2, 0, 2]].reshape(-1, 2) @ (count, 1)
-    low, middle, high = welded.sets[gone].T
+    real = _have_area(given.points, welded.corners)
+    edges = welded.sets[real][:, [0, 1, 1, 2, 0, 2]].reshape(-1, 2) @ (count, 1)
+    low, middle, high = welded.sets[lost].T
     along = ((low == middle) | (middle == high)) & np.isin(low * count + high, edges)
     return welded if along.all() else linked
 
@@ -477,7 +477,7 @@ class Closed(NamedTuple):
 
     used: Integers  # (k,) rows of the points
     corners: Integers  # (m, 3) rows of those
-    kept: Integers  # (m,) which of the triangles they are
+    row: Integers  # (m,) which of the triangles they are
     meeting: Integers  # (3 m / 2, 2) edges that are one: 3 times a triangle's row, and which
 
 
@@ -503,7 +503,7 @@ def convex_surface(given: Given, rows: Integers, linked: Linked) -> Surface:
         if lies.depths[worst] > noise:
             depth, allowed = (math.ldexp(x, exponent) for x in (float(lies.depths[worst]), noise))
             raise ValueError(
-                f'the mesh is not convex at triangle {int(rows[closed.kept[worst]])}: it lies '
+                f'the mesh is not convex at triangle {int(rows[closed.row[worst]])}: it lies '
                 f'{depth:.3g} m within the hull of all corners, and {allowed:.3g} m are allowed'
             )
         normals[sliver] = lies.normals[sliver]
@@ -514,7 +514,7 @@ def convex_surface(given: Given, rows: Integers, linked: Linked) -> Surface:
     real[sliver] = _have_area(given.points, closed.used[corners[sliver]])
     used, corners = used_by(corners[real])
     vertices = given.points[closed.used[used]]
-    return Surface(vertices, corners, rows[closed.kept[real]], normals[real])
+    return Surface(vertices, corners, rows[closed.row[real]], normals[real])
 
 
 def _closed(rows: Integers, linked: Linked) -> Closed:
@@ -522,21 +522,21 @@ def _closed(rows: Integers, linked: Linked) -> Closed:
     whose corners have become one is an edge: its neighbours meet there without it.
     """
     low, middle, high = linked.sets.T
-    kept = np.flatnonzero((low < middle) & (middle < high))
-    surface = linked.part(kept)
+    proper = np.flatnonzero((low < middle) & (middle < high))
+    surface = linked.part(proper)
     order, count = surface.by_edge
     if (count != 2).any():
         is_open = len(surface.open_edges) > 0
         bad = int(surface.open_edges[0] if is_open else np.argmax(count != 2))
         what = 'closed' if is_open else 'the surface of one convex solid'
         raise ValueError(
-            f'the mesh is not {what}: an edge of triangle {int(rows[kept[bad // 3]])} belongs to '
-            f'{int(count[bad])} triangles, not two'
+            f'the mesh is not {what}: an edge of triangle {int(rows[proper[bad // 3]])} belongs '
+            f'to {int(count[bad])} triangles, not two'
         )
     used, corners = used_by(surface.corners)
-    if 2 * len(used) - len(kept) != 4:  # Euler: one surface without holes
+    if 2 * len(used) - len(proper) != 4:  # Euler: one surface without holes
         raise ValueError('the mesh is not the surface of one convex solid')
-    return Closed(used, corners, kept, order.reshape(-1, 2))
+    return Closed(used, corners, proper, order.reshape(-1, 2))
 
 
 def _require_thickness(points: Floats, corners: Integers, noise: float) -> None:

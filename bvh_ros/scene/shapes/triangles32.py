@@ -102,8 +102,8 @@ def bound_patch(triangles, lane, place, slack):
     what it does not exceed): those of the cylinder's nearest and farthest points.
 
     With e = 2**-24, and m for 1 + the largest coordinate of the place: place, center and corners
-    are off by less than 6 e m, the height above the center by less than 12 e m, the way beside the
-    axis by less than 30 e m. `slack` is 64 e m.
+    are off by less than 6 e m, the height above the center by less than 12 e m, the distance
+    from the axis by less than 30 e m. `slack` is 64 e m.
     """
     x, y, z = lane, lane + WIDTH, lane + 2 * WIDTH
     center = triangles[x], triangles[y], triangles[z]
@@ -111,10 +111,10 @@ def bound_patch(triangles, lane, place, slack):
     half, radius = triangles[x + 6 * WIDTH] + slack, triangles[y + 6 * WIDTH] + slack
     step = minus(place, center)
     above = dot(step, axis)
-    beside = plus(step, -above, axis)
-    above, beside = abs(above), np.sqrt(dot(beside, beside))
-    low, near = max(above - half, ZERO), max(beside - radius, ZERO)
-    high, far = above + half, beside + radius
+    across = plus(step, -above, axis)
+    above, across = abs(above), np.sqrt(dot(across, across))
+    low, near = max(above - half, ZERO), max(across - radius, ZERO)
+    high, far = above + half, across + radius
     return low * low + near * near, high * high + far * far
 
 
@@ -222,9 +222,9 @@ def fill_patch(corners, count, patch):
     for k in range(count):
         step = minus(column(corners, k), center)
         height = dot(step, axis)
-        beside = plus(step, -height, axis)
+        across = plus(step, -height, axis)
         lowest, highest = min(lowest, height), max(highest, height)
-        radius = max(radius, dot(beside, beside))
+        radius = max(radius, dot(across, across))
     center = plus(center, 0.5 * (lowest + highest), axis)
     for row in range(3):
         patch[row], patch[3 + row] = center[row], axis[row]
