@@ -183,6 +183,17 @@ class Surface(NamedTuple):
     plane that holds the solid there."""
 
 
+class Edges(NamedTuple):
+    """Of triangles (m, 3), edge 3 k + i goes from corner i of row k to the next."""
+
+    order: Integers
+    """(3 m,) edges so that those between the same points follow each other."""
+    number: Integers
+    """(3 m,) that of the two points."""
+    times: Integers
+    """(3 m,) how many edges have this number; 0 if both points are one."""
+
+
 class Linked:
     """Triangles, rows (m, 3) of points, and which of them meet."""
 
@@ -210,23 +221,22 @@ class Linked:
         return _first_alike(self.sets, int(self.corners.max()) + 1)
 
     @LazyProperty
-    def by_edge(self) -> tuple[Integers, Integers]:
-        """(3 m,) edges, 3 times a triangle's row, and which, so that the same follow each other;
-        and how many triangles meet at each edge of each, 0 if its ends coincide.
-        """
+    def edges(self) -> Edges:
+        """Which triangles meet at an edge."""
         one, two = self.corners.ravel(), self.corners.take([1, 2, 0], axis=1).ravel()
         low, high = np.minimum(one, two), np.maximum(one, two)
         order, begins = _runs(low * (int(high.max()) + 1) + high)
         times = np.diff(begins, append=len(order))
-        count = np.empty(len(order), np.int64)
-        count[order] = np.repeat(times, times)
+        number = np.empty(len(order), np.int64)
+        number[order] = np.repeat(np.arange(len(times)), times)
+        count = times.take(number)
         count[low == high] = 0
-        return order, count
+        return Edges(order, number, count)
 
     @property
     def open_edges(self) -> Integers:
-        """Those of them at which an odd number of triangles meets."""
-        return np.flatnonzero(self.by_edge[1] & 1)
+        """Those at which an odd number of triangles meets."""
+        return np.flatnonzero(self.edges.times & 1)
 
 
 class Given:
@@ -263,22 +273,37 @@ class Given:
         return NOISE * np.maximum(self.extent, self.farthest * single)
 
 
+NOTHING = -1  # instead of a row
+
+
 def _joined(points: Floats, linked: Linked) -> Integers:
     """Rows of triangles but for those without an area that join no others: two of their corners
-    are one, or they have an edge of their own.
+    are one, or they have an edge of their own, perhaps after others have been left out.
     """
     low, middle, high = linked.sets.T
     proper = np.flatnonzero((low < middle) & (middle < high))
     first = linked.first[proper]
     once = proper[first == proper]
-    while len(once):
-        form = linked.part(once)
-        alone = np.flatnonzero((form.by_edge[1].reshape(-1, 3) == 1).any(axis=1))
-        strays = alone[~_have_area(points, form.corners[alone])]
-        if not len(strays):
-            break
-        once = np.delete(once, strays)
-    return proper if len(once) == len(proper) else proper[np.isin(first, once)]
+    if not len(once):
+        return once
+    form = linked.part(once)
+    alone = np.flatnonzero((form.edges.times.reshape(-1, 3) == 1).any(axis=1))
+    waiting = alone[~_have_area(points, form.corners[alone])].tolist()
+    if not waiting:
+        return proper
+    flat, number = (~_have_area(points, form.corners)).tolist(), form.edges.number
+    count = np.bincount(number).tolist()
+    rows = np.bincount(number, np.arange(len(number)) // 3).astype(np.int64).tolist()  # their sum
+    while waiting:
+        row = waiting.pop()
+        if once[row] == NOTHING:
+            continue
+        once[row] = NOTHING
+        for edge in number[3 * row : 3 * row + 3].tolist():
+            count[edge], rows[edge] = count[edge] - 1, rows[edge] - row
+            if count[edge] == 1 and flat[rows[edge]]:
+                waiting.append(rows[edge])
+    return proper[np.isin(first, once)]
 
 
 def closed_if_possible(given: Given, stitch: bool) -> tuple[Integers, Linked]:
@@ -524,7 +549,7 @@ def _closed(rows: Integers, linked: Linked) -> Closed:
     low, middle, high = linked.sets.T
     proper = np.flatnonzero((low < middle) & (middle < high))
     surface = linked.part(proper)
-    order, count = surface.by_edge
+    order, _, count = surface.edges
     if (count != 2).any():
         is_open = len(surface.open_edges) > 0
         bad = int(surface.open_edges[0] if is_open else np.argmax(count != 2))
