@@ -249,9 +249,10 @@ class Distances:
                 columns.pairs_in_more_digits += more
             if wanted == ALL:
                 parts.append(results[2][:written])
-            elif done == count and wanted != HITS and not columns.shadows:
+            if done < count:
+                view = View(view.tree, version)
+            elif wanted < ALL and not columns.shadows:
                 return results[wanted]
-            view = View(view.tree, version)
         if done < count or threads > 1:
             work = partial(self._touching, view, Batch(*batch))
             for part in [work(done, count)] if threads == 1 else in_threads(work, count, threads):
@@ -365,10 +366,9 @@ class Distances:
         in, or NONE, whether distances have a sign). None if a row that is `given` is not legal.
         """
         reaches, itself, signed = options
-        results = room_for_neighbours(count, itself != NONE)
-        alike = at is not None and itself == NONE and not self._columns.shaped
-        if alike and self._store.uncertainty:
-            alike = False
+        results, alike = room_for_neighbours(count, itself != NONE), False
+        if at is not None and itself == NONE:
+            alike = not (self._columns.shaped or self._store.uncertainty)
         question = CLEARANCES if signed is None else CLEARANCES + SIGNED
         batch = question, rows, (reaches, itself, signed, alike), results, hulls, True, at
         return results if self._answer(batch, count, threads) else None
