@@ -235,7 +235,7 @@ def answer_nearest(
     world, points, place, options, node_handles, found, near, in_order, neighbours, lie
 ):
     """Fill in the rows of `Points` in the places [start, stop) of their order in `near`; place =
-    (start, stop), options = (k, whether some boxes more are likely to be wanted, whether an
+    (start, stop), options = (k, how many boxes more are likely to be wanted, whether an
     obstacle may stand at two places, see slicing.py, `Signed`). Returns (rows done, room wanted in
     `found`, how many were found at last): fewer rows than there are where there is no room, or
     where a point is FAULTY, which stands for the room.
@@ -246,7 +246,7 @@ def answer_nearest(
     instead of rows. `in_order`: it writes them in order, nearest first. lie(world, row, slot,
     point, signed, found, place) fills in how an obstacle lies to a point.
     """
-    (done, stop), (k, some_more, twice, signed) = place, options
+    (done, stop), (k, more, twice, signed) = place, options
     wanted, count, everybody = np.int64(0), np.int64(0), world.tree.state[EVERYBODY]
     while done < stop:
         row = points.order[done] if points.order.shape[0] > 0 else done
@@ -255,7 +255,7 @@ def answer_nearest(
             wanted = np.int64(FAULTY)
             break
         limit, mask, filled = max(reach * ROUNDED, reach), of_row(points.masks, row), 0
-        wanted = np.int64(min(k + 1 if some_more else k, everybody + 1))
+        wanted = np.int64(min(k + more, everybody + 1))
         while wanted <= found.slots.shape[0]:
             count, others, last = neighbours(world, row, point, point, wanted, limit, mask, found)
             if count < 0:
@@ -266,7 +266,7 @@ def answer_nearest(
             order_found(found, count, node_handles)
             filled = keep(found, count, (k, reach, twice), node_handles, near, row)
             farthest = max(near.distances[row, k - 1], 0.0) * ROUNDED if filled == k else np.inf
-            if not others or last > farthest or (in_order and not some_more):
+            if not others or last > farthest or (in_order and more == 0):
                 break
             wanted = min(wanted * MORE, everybody + 1)
         if wanted > found.slots.shape[0]:
@@ -430,7 +430,7 @@ def answer_clearances(
 @inlined
 def _look(world, row, one, slot, reach, signed, node_handles, results):
     look_at_shape(
-        *(world.bodies, slot, one, (0.0, 0.0), slot, reach, signed, node_handles, results, row)
+        *(world.bodies, slot, one, None, slot, reach, signed, node_handles, results, row)
     )
 
 
@@ -470,11 +470,11 @@ def apart(one, other, bodies, signed, points):
 @lean_kernel
 def look_at_shape(bodies, place, one, growths, slot, reach, signed, node_handles, results, row):
     """Keep the obstacle of a slot, which stands at a place of `bodies`, if it is nearer than what
-    is there; ties by handle. `growths`: those of the shape and the obstacle.
+    is there; ties by handle. `growths`: those of the shape and the obstacle, or None.
     """
     points = stack_array((2, 3), np.float64)
     distance = apart(one, bodies.shapes[place], bodies, signed, points)
-    if growths[0] + growths[1] > 0.0:
+    if growths is not None:
         distance = grow_both(points, distance, growths, signed)
     if bodies.footprints is not None:
         points[0, 2] = points[1, 2] = one.position[2]
@@ -484,6 +484,8 @@ def look_at_shape(bodies, place, one, growths, slot, reach, signed, node_handles
 @inlined
 def grow_both(points, distance, growths, signed):
     """The distance of two shapes after both have grown, and their points."""
+    if not growths[0] + growths[1] > 0.0:
+        return distance
     left = distance - growths[0] - growths[1]
     if signed is None and left <= 0.0:
         share = 0.0 if distance == 0.0 else min(growths[1] / distance, 1.0)

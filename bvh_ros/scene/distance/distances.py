@@ -61,6 +61,7 @@ from .query import (
 
 # From so many points on their order counts: as they stand 10,000 points take 1.2 times as long.
 MANY, NO_ORDER = 1000, np.empty(0, INT64)
+SOME_MORE = 4  # boxes for one point: mostly they show at once that no other is nearer
 # Questions, which are multiples of this, and what else the types of arguments depend on.
 KINDS = 4
 OVERLAPS, NEAREST, CLEARANCES = 0, KINDS, 2 * KINDS
@@ -198,7 +199,7 @@ class Distances:
             k = min(k, max(len(self._tree), 1))
         if scratch.near[0].shape[1] != k:
             scratch.near = room_for_near(1, k)
-        batch = self._near_batch(scratch.points, k, signed, scratch.near, at)
+        batch = self._near_batch(scratch.points, k, signed, scratch.near, at, SOME_MORE)
         while not done:
             done, wanted, count, _ = self._ask(self._tree.latest(), scratch, batch, 0, 1)
             if not done:
@@ -336,13 +337,18 @@ class Distances:
         """Points with what packets find of them, and `begin` of `_answer`; None without."""
         return points, None
 
-    def _near_batch(self, points: Points, k: int, signed: Signed, near: Near, at: Any) -> Any:
-        """The `Batch` of NEAREST, as a plain tuple."""
+    def _near_batch(
+        self, points: Points, k: int, signed: Signed, near: Near, at: Any, some_more: int = 1
+    ) -> Any:
+        """The `Batch` of NEAREST, as a plain tuple; `some_more`: boxes that are looked at with the
+        k nearest, where these are not all in order.
+        """
         columns, question = self._columns, NEAREST
         narrow, twice = columns.shaped > 0, columns.shadows > 0
-        some_more = narrow or twice or (at is not None and self._store.uncertainty > 0.0)
         if signed is not None:
-            question, some_more = question + SIGNED, True
+            question += SIGNED
+        elif not (narrow or twice or (at is not None and self._store.uncertainty > 0.0)):
+            some_more = 0
         if points[4] is not None:
             question += IN_PACKETS
         return question, points, (k, some_more, twice, signed), near, None, narrow, at
