@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..tree.access import ALL, IS_CHANGED, NONE, checks
-from .distance import batch
 from .distance.batch import Near, Neighbours, Points, Signed
-from .distance.query import NO_GIVEN, given_rows, number_of, query_rows
+from .distance.distances import MANY, NO_ORDER, Distances
+from .distance.query import NO_GIVEN, given_rows, query_rows
 from .results import NO_NODE, Clearance, Clearances, NearestObstacles, SceneHit
 from .shapes.shape import GEOMETRY, Floats, Shapes, as_shapes
 from .store import Obstacles
@@ -22,8 +22,7 @@ class DistanceQueries:
 
     _store: Obstacles
     _timed: TimedQueries
-    _nearness: batch.Nearness
-    _clearances: batch.Clearances
+    _distances: Distances
 
     def nearest(
         self,
@@ -73,13 +72,10 @@ class DistanceQueries:
         where = checks.point('point', point, 3, self._store.planar)
         limits = checks.limit('max_distance', max_distance), checks.mask(mask)
         many = checks.whole('k', k, 1)
+        distances, second = self._distances, None
         if self._timed.time_matters(at, None, 1):
-            options = where, many, limits, sign_of(signed), self._timed.second(at)
-            hits = self._timed.distances().find_near(*options)
-        else:
-            room, rows = self._nearness.find(where, many, limits, sign_of(signed))
-            hits = self._store.hits(room.found, rows)
-            self._nearness.spare.give(room)
+            distances, second = self._timed.distances(), self._timed.second(at)
+        hits = distances.find_nearest(where, many, limits, sign_of(signed), second)
         if signed and hits:
             self._require_depths(np.array([hits[0].t]), np.array([hits[0].handle]))
         return hits
@@ -102,17 +98,14 @@ class DistanceQueries:
         if self._store.change.unfinished:
             self._store.change.require_none()
         slot = self._store.slot(name)
-        timed = self._timed.time_matters(at, None, 1)
+        distances, times = self._distances, None
+        if self._timed.time_matters(at, None, 1):
+            distances, times = self._timed.distances(), self._timed.seconds(at, 1)
         slots, handles = [slot], self._store.columns.node_handle
         if self._store.columns.shadows:  # it may stand at two places, see slicing.py
             slots = np.flatnonzero(handles == handles[slot]).tolist()
         sign: Signed = sign_of(signed)
-        every = [
-            self._other_then(place, sign, at)
-            if timed
-            else self._clearances.nearest_other(place, sign)
-            for place in slots
-        ]
+        every = [self._other(distances, place, sign, times) for place in slots]
         found = min(every, key=lambda one: (one.distances.item(0), handles[one.slots[0]]))
         if found.slots[0] == NONE:
             return None
@@ -125,12 +118,12 @@ class DistanceQueries:
             found.other_points[0],
         )
 
-    def _other_then(self, slot: int, signed: Signed, at: Any) -> Neighbours:
-        """What is nearest to the obstacle of a slot at a time."""
-        times, options = self._timed.seconds(at, 1), (checks.FOREVER, slot, signed)
-        hulls, room = self._store.columns.hulls, (np.empty(1, GEOMETRY), np.zeros((1, 2, 3)))
-        rows = *room, np.zeros(1), checks.EVERYTHING, NO_GIVEN  # a kernel fills them in
-        found = self._timed.distances().clearances(rows, hulls, options, times, 1)
+    def _other(self, distances: Distances, slot: int, signed: Signed, at: Any) -> Neighbours:
+        """What is nearest to the obstacle of a slot."""
+        options, hulls = (checks.FOREVER, slot, signed), self._store.columns.hulls
+        room = np.empty(1, GEOMETRY), np.zeros((1, 2, 3))  # a kernel fills them in
+        rows = *room, checks.NOTHING, checks.EVERYTHING, NO_GIVEN
+        found = distances.clearances(rows, 1, hulls, options, 1, at)
         assert found is not None
         return found
 
@@ -175,22 +168,22 @@ class DistanceQueries:
         if type(k) is not int or k != 1:
             many = checks.capacity('k', k)
         count = len(where)
-        if count >= batch.MANY:
+        if count >= MANY:
             checks.finite('points', where)  # else a kernel looks
         reaches = checks.limits_or_one('max_distance', max_distance, count)
         masks = checks.masks_or_one(mask, count)
         # As Points(...), which would take one more call of a function of Python's.
-        order = batch.NO_ORDER if count < batch.MANY else self._nearness.order_of(where)
-        options = tuple.__new__(Points, (where, reaches, masks, order))
+        order = NO_ORDER if count < MANY else self._distances.order_of(where)
+        options = tuple.__new__(Points, (where, reaches, masks, order, None))
         sign: Signed = sign_of(signed)
         if type(threads) is not int or threads != 1:
             threads = checks.whole('threads', threads, 1)
         times = None if at is None else self._timed.seconds(at, count)
-        if times is None:
-            near = self._nearness.find_rows(options, many, sign, threads)
-        else:
+        distances, most = self._distances, many
+        if times is not None:
+            distances = self._timed.distances()
             most = 1 if many == 1 else min(many, max(len(self._store.tree), 1))
-            near = self._timed.distances().nearest(options, most, sign, times, threads)
+        near = distances.nearest(options, most, sign, threads, times)
         if near is None:
             checks.finite('points', where)
             raise RuntimeError(IS_CHANGED)
@@ -259,32 +252,25 @@ class DistanceQueries:
         if self._store.change.unfinished:
             self._store.change.require_none()
         given = as_shapes(shapes, self._store.planar)
+        count = len(given.kind)
         if type(threads) is not int or threads != 1:
             threads = checks.whole('threads', threads, 1)
         reaches = checks.FOREVER
         if max_distance is not np.inf:
-            reaches = checks.limits_or_one('max_distance', max_distance, len(given.kind))
+            reaches = checks.limits_or_one('max_distance', max_distance, count)
         options, found = (reaches, NONE, sign_of(signed)), None
+        distances, times = self._distances, None
+        if at is not None:
+            times = self._timed.seconds(at, count)
+            distances = distances if times is None else self._timed.distances()
         if given.mesh is None:
             rows = given_rows(given[:4], 0.0, mask)
-            if at is None:
-                found = self._clearances.find_rows(rows, None, options, threads)
-            else:
-                found = self._find_then(rows, None, options, threads, at)
+            found = distances.clearances(rows, count, None, options, threads, times)
         if found is None:
             legal, hulls = query_rows(given, 0.0, mask, self._store.planar)
-            found = self._find_then(tuple(legal), hulls, options, threads, at)
+            found = distances.clearances(tuple(legal), count, hulls, options, threads, times)
         assert found is not None
         return found
-
-    def _find_then(
-        self, rows: tuple[Any, ...], hulls: Any, options: tuple[Any, ...], threads: int, at: Any
-    ) -> Neighbours | None:
-        """What is nearest to shapes at times; None if a row that is `given` is not legal."""
-        times = None if at is None else self._timed.seconds(at, number_of(rows))
-        if times is None:
-            return self._clearances.find_rows(rows, hulls, options, threads)
-        return self._timed.distances().clearances(rows, hulls, options, times, threads)
 
     def _require_depths(self, distances: Floats, handles: NDArray[Any]) -> None:
         """ValueError that names an obstacle for which there is no signed distance."""
@@ -302,7 +288,8 @@ class DistanceQueries:
 
 def sign_of(signed: bool) -> Signed:
     """The same for kernels."""
-    return True if checks.flag('signed', signed) else None
+    # False is the most common: a call of `checks.flag` takes 2 % of one of a row.
+    return None if signed is False or not checks.flag('signed', signed) else True
 
 
 def _padded(near: Near, k: int) -> tuple[NDArray[np.uint32], Floats, Floats]:

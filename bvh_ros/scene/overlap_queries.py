@@ -9,17 +9,17 @@ from numpy.typing import ArrayLike
 from ..tree.access import ALL, checks
 from .distance import batch
 from .distance.batch import WANTED
+from .distance.distances import Distances
 from .distance.query import (
     BOXES,
     UNTURNED,
     QueryShape,
     box_query,
     given_rows,
-    number_of,
     query_rows,
     shape_query,
 )
-from .results import SceneHit, require_few
+from .results import SceneHit
 from .shapes.shape import Floats, Shapes, as_one_shape, unchecked_shapes
 from .store import Obstacles
 from .timed_queries import TimedQueries
@@ -37,7 +37,7 @@ class OverlapQueries:
 
     _store: Obstacles
     _timed: TimedQueries
-    _touching: batch.Overlaps
+    _distances: Distances
 
     def overlap(
         self,
@@ -89,32 +89,16 @@ class OverlapQueries:
             start, goal = checks.with_z('start', start), checks.with_z('goal', goal)
         query = box_query(start, goal, orientation, tolerance, planar)
         limit = checks.whole_or_none('most', most, 0)
-        if self._timed.time_matters(at, None, 1):
-            return self._then(query, None, mask, limit, at)
-        return self._now(query, None, mask, limit)
+        return self._overlap(query, None, mask, limit, at)
 
-    def _now(self, query: QueryShape, hulls: Any, mask: int, most: int | None) -> list[SceneHit]:
-        """What a query touches."""
-        store, touching = self._store, self._touching
-        room, rows = touching.find(query, hulls, checks.mask(mask), most)
-        hits = store.hits(room.found, rows)
-        touching.spare.give(room)
-        return store.each_once(hits)
-
-    def _then(
+    def _overlap(
         self, query: QueryShape, hulls: Any, mask: int, most: int | None, at: Any
     ) -> list[SceneHit]:
-        """What a query touches at a time."""
-        store, bits, moments = self._store, checks.mask(mask), self._timed
-        second = store.second(at) if type(at) is int else moments.second(at)
-        hits = moments.distances().find(query, hulls, bits, second)
-        if store.planar:
-            for hit in hits:
-                hit.point[2] = query.height
-        hits = store.each_once(hits)
-        if most is not None:
-            require_few(len(hits), most)
-        return hits
+        """What a query touches."""
+        distances, second = self._distances, None
+        if self._timed.time_matters(at, None, 1):
+            distances, second = self._timed.distances(), self._timed.second(at)
+        return distances.find(query, hulls, checks.mask(mask), most, second)
 
     def overlap_shape(
         self, shape: Shapes, tolerance: float = 0.0, mask: int = ALL, at: float | None = None
@@ -130,11 +114,8 @@ class OverlapQueries:
         """
         if self._store.change.unfinished:
             self._store.change.require_none()
-        planar = self._store.planar
-        query, hulls = shape_query(shape, tolerance, planar)
-        if self._timed.time_matters(at, None, 1):
-            return self._then(query, hulls, mask, None, at)
-        return self._now(query, hulls, mask, None)
+        query, hulls = shape_query(shape, tolerance, self._store.planar)
+        return self._overlap(query, hulls, mask, None, at)
 
     def overlap_many(
         self,
@@ -252,28 +233,18 @@ class OverlapQueries:
         tolerance, mask, threads, at = options
         if type(threads) is not int or threads != 1:
             threads = checks.whole('threads', threads, 1)
+        distances, times, count = self._distances, None, len(given[1])
+        if at is not None:
+            times = self._timed.seconds(at, count)
+            distances = distances if times is None else self._timed.distances()
         if mesh is None:
             rows = given_rows(given, tolerance, mask)
-            answers = (
-                self._touching.answer(rows, None, wanted, threads)
-                if at is None
-                else self._then_many(rows, None, wanted, threads, at)
-            )
+            answers = distances.touching(rows, count, None, wanted, threads, times)
             if answers is not None:
                 return answers
         shapes = unchecked_shapes(given[0], given[1], given[2], given[3], mesh)
         legal, hulls = query_rows(shapes, tolerance, mask, self._store.planar, *names)
-        return self._then_many(tuple(legal), hulls, wanted, threads, at)
-
-    def _then_many(
-        self, rows: tuple[Any, ...], hulls: Any, wanted: int, threads: int, at: Any
-    ) -> Any:
-        """The same at times, of plain `QueryRows`; None if a row that is `given` is not legal."""
-        moments = self._timed
-        times = None if at is None else moments.seconds(at, number_of(rows))
-        if times is None:
-            return self._touching.answer(rows, hulls, wanted, threads)
-        return moments.distances().touching(rows, hulls, times, threads, wanted)
+        return distances.touching(tuple(legal), count, hulls, wanted, threads, times)
 
     def overlap_pairs(self, mask: int = ALL) -> list[tuple[str, str]]:
         """Return the names of all obstacles that touch each other.

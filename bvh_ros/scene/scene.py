@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..tree.access import checks, plotting
-from .distance.batch import Clearances, Nearness, Overlaps
+from .distance.distances import Distances
 from .distance_queries import DistanceQueries
 from .inspection import Inspection
 from .names import UNKNOWN
@@ -137,9 +137,7 @@ class Scene(RayQueries, OverlapQueries, DistanceQueries, SweepQueries):
 
     def _begin(self, store: Obstacles, updates: Updates) -> None:
         self._store, self._timed = store, TimedQueries(store)
-        self._touching = Overlaps(store.tree, store.columns)
-        self._nearness = Nearness(store.tree, store.columns)
-        self._clearances = Clearances(store.tree, store.columns)
+        self._distances = Distances(store)
         self._updates = updates
         self._removals = Removals(store)
         self._inspection = Inspection(store)

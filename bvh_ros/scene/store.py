@@ -415,7 +415,7 @@ class Obstacles:
         return hit
 
     def hits(self, found: Any, rows: list[int]) -> list[SceneHit]:
-        """What a query tells of rows of a `touching.Found`."""
+        """What a query tells of rows of a `query.Found`."""
         return [
             self.hit(
                 found.slots.item(row),

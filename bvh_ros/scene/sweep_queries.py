@@ -198,14 +198,15 @@ class SweepQueries:
         shape = unchecked_shapes(kind, np.zeros((1, 3)), UNTURNED, size, mesh)
         legal, hulls = query_rows(shape, 0.0, ALL, False)
         body = legal.records, legal.bounds[0]
-        rows = Rows(*body, starts, goals, turns, goal_turns, grown, masks, resolution)
         when = self._timed.spans(*span, count)
+        start, pace = (None, None) if when is None else when
+        rows = Rows(*body, starts, goals, turns, goal_turns, grown, masks, resolution, pace)
         if when is None:
             if self._sweeper is None:
                 self._sweeper = ShapeSweeper(self._store)
-            return self._sweeper.find(rows, hulls, enough, threads)
+            return self._sweeper.sweep(rows, hulls, enough, threads, None)
         if self._timed_sweeper is None:
             from .distance.moving_sweeps import TimedShapeSweeper
 
             self._timed_sweeper = TimedShapeSweeper(self._store)
-        return self._timed_sweeper.find(rows, hulls, enough, threads, *when)
+        return self._timed_sweeper.sweep(rows, hulls, enough, threads, start)

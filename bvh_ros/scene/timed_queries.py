@@ -19,7 +19,7 @@ from .store import EXACT, Obstacles, all_in_seconds, in_seconds
 
 if TYPE_CHECKING:
     from .cast.motion_batch import Times
-    from .distance.timed import TimedDistances
+    from .distance.moving import TimedDistances
 
 
 class CastModules(NamedTuple):
@@ -40,7 +40,7 @@ class TimedQueries:
     def distances(self) -> 'TimedDistances':
         """Overlaps and distances at other times."""
         if self._distances is None:
-            from .distance.timed import TimedDistances
+            from .distance.moving import TimedDistances
 
             self._distances = TimedDistances(self._store)
         return self._distances

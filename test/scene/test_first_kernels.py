@@ -8,7 +8,7 @@ from scene.inside import store_of
 
 from bvh_ros.scene import NO_NODE, Scene, Shapes
 from bvh_ros.scene.cast import batch
-from bvh_ros.scene.distance.batch import Overlaps
+from bvh_ros.scene.distance.distances import Distances
 
 NOWHERE = 1e3
 TURNED = 0.0, 0.0, 0.6, 0.8
@@ -63,12 +63,12 @@ def test_a_batch_of_boxes_goes_on_with_the_tree_that_it_began_with(monkeypatch):
     scene = row_of_boxes()
     asked = np.zeros((3, 3)), np.zeros(3), None, 2.5  # as far away as the tolerance
     assert scene.overlap_many(*asked, want='count').tolist() == [1, 1, 1]
-    answer_exactly = Overlaps._answer_exactly
+    answer_exactly = Distances._answer_exactly
 
-    def moving_on(overlaps, *given):
+    def moving_on(distances, *given):
         put(scene, '19', 70.0 + given[-1])
-        return answer_exactly(overlaps, *given)
+        return answer_exactly(distances, *given)
 
-    monkeypatch.setattr(Overlaps, '_answer_exactly', moving_on)
+    monkeypatch.setattr(Distances, '_answer_exactly', moving_on)
     with pytest.raises(RuntimeError, match='changed'):
         scene.overlap_many(*asked, want='count')

@@ -1,15 +1,30 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Overlaps and distances among obstacles that move, at a time a row."""
+"""Overlaps and distances among obstacles that move, at a time a row: the kernels, and how they are
+called. Scenes without velocities need none of this.
+"""
 
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from ...tree.access import NONE, end_query, is_finite, of_row
+from ...tree.access import (
+    CHANGES,
+    INT64,
+    NONE,
+    NOTHING,
+    PointQueries,
+    Tree,
+    View,
+    are_dense,
+    end_query,
+    of_row,
+)
 from ...tree.compiler import inlined, lean_kernel, prefetch, stack_array
 from ...tree.motion.access import (
     OUTSIDE,
+    Bounded,
     at_least,
     begin_asking,
     box_of,
@@ -20,24 +35,35 @@ from ...tree.motion.access import (
     near_at,
     nearest_bounds,
     overlap_at,
+    times_of,
 )
-from ..shapes.shape import FINE
-from ..store import WIDER
-from . import batch
-from .batch import ALL, ANY, keep, pad, write_row
+from ..shapes.footprint import FOOTPRINT
+from ..shapes.hull import Hulls
+from ..shapes.shape import GEOMETRY, Floats, along_axes
+from ..store import WIDER, movers
+from .batch import (
+    COUNT,
+    Points,
+    Signed,
+    answer_clearances,
+    answer_nearest,
+    answer_overlaps,
+    look_at_shape,
+    room_for,
+)
+from .distances import OVERLAPS, Distances, Scratch, bodies_of
 from .narrow_phase import length, near
 from .penetration import signed_distance_in_obstacle
 from .query import (
-    FAULTY,
-    FOUND,
     LARGEST,
+    NO_GIVEN,
     ROUNDED,
     QueryShape,
+    Touch,
+    find_touching,
     found_in,
     grow,
     look_at,
-    make_row,
-    order_found,
 )
 
 # ---- Overlaps and distances among obstacles that move, at a time a row.
@@ -45,15 +71,12 @@ from .query import (
 # The tree gives the boxes at the time, as real arithmetic has them. `pose_at` then writes each
 # obstacle where it stands, and the rest is as for obstacles at rest.
 
-ROOM = FOUND + 2  # floats of a row of `Room` and `Found`
-
 
 class QueryTimes(NamedTuple):
     """The times of rows, and how obstacles change."""
 
     bodies: Any
     """`Bodies`, as stored."""
-    node_handles: Any
     at: Any
     """s, one for all or (n,)"""
     growth: float
@@ -63,26 +86,19 @@ class QueryTimes(NamedTuple):
     """The first and the last of their stamps, s."""
 
 
-class Candidates(NamedTuple):
-    """For the boxes that the tree names."""
+class World(NamedTuple):
+    """Obstacles that move, for kernels."""
 
-    slots: Any
-    """(n,), as of the gaps."""
-    gaps: Any
+    tree: Any
+    moving: Any
+    """`Moving`"""
+    times: QueryTimes
     spare: Any
     """`Bodies` with one shape: an obstacle where it stands."""
-
-
-@inlined
-def room_in(memory):
-    """(`Room`, `Found`) of memory = (one array, ROOM floats a box; what is `spare`), see
-    `found_in`.
-    """
-    floats, spare = memory
-    rows = floats.shape[0] // ROOM
-    end = FOUND * rows
-    slots, gaps = floats[end : end + rows], floats[end + rows : end + 2 * rows]
-    return Candidates(slots.view(np.int64), gaps, spare), found_in(floats[:end])
+    grown: float
+    """By how much the shape of a clearance has grown."""
+    before: Any
+    """What packets found of the rows before, `Bounded`, or None."""
 
 
 @inlined
@@ -100,18 +116,19 @@ def displacement(velocity, since, left):
 
 
 @inlined
-def pose_at(tree, moving, then, spare, slot, at):
+def pose_at(world, slot, at):
     """Write an obstacle to `spare` where it stands at a time; return by how much it has grown."""
+    tree, moving, times, spare, _, _ = world
     box = box_of(tree, moving, slot)
     _, _, velocity, reference = box
     displaced, shape = stack_array(3, np.float64), spare.shapes[0]
     since = elapsed(at, reference, moving.nanoseconds)
-    spare.shapes[0] = then.bodies.shapes[slot]
+    spare.shapes[0] = times.bodies.shapes[slot]
     for axis in range(velocity.shape[0]):
         displaced[axis] = displacement(velocity[axis], since, moving.left)
         shape.position[axis] += displaced[axis]
-    footprint_at(then.bodies.footprints, spare.footprints, slot, displaced)
-    return then.growth * abs(since[0]) if moves(box) else 0.0
+    footprint_at(times.bodies.footprints, spare.footprints, slot, displaced)
+    return times.growth * abs(since[0]) if moves(box) else 0.0
 
 
 @inlined
@@ -123,75 +140,65 @@ def footprint_at(footprints, spare, slot, displaced):
             spare[0].centre[axis] += displaced[axis]
 
 
+@inlined
+def is_exact(world, shape, at):
+    """Whether nothing but the boxes counts between an aligned box and others."""
+    return not shape.shaped and most_growth(world.times, at) == 0.0
+
+
+@inlined
+def _candidates(world, row, query, mask, found):
+    at, ndim = of_row(world.times.at, row), world.moving.velocities[0].velocity.shape[0]
+    if covers(world.moving, at, 0.0, 0.0) == 0:
+        return np.int64(OUTSIDE)
+    grown = stack_array((2, 3), np.float64)
+    more = query.tolerance + most_growth(world.times, at)
+    grow(QueryShape(query.record, query.bounds, False, more, 0.0), grown)
+    low, high = grown[0, :ndim], grown[1, :ndim]
+    return overlap_at(world.tree, world.moving, at, low, high, mask, found.slots, 0)
+
+
+@inlined
+def _touch(world, row, query, slot):
+    at, bodies, solid = of_row(world.times.at, row), world.times.bodies, query.record[0]
+    if query.tolerance == 0.0 and is_exact(world, solid, at) and not bodies.shapes[slot].shaped:
+        return Touch(True, True, False, False, 0.0)
+    growth, shape = pose_at(world, slot, at), world.spare.shapes[0]
+    reach, planar = query.tolerance + growth, bodies.footprints is not None
+    touches, digits = near(shape, bodies.hulls, solid, bodies.query_hulls, reach, planar)
+    return Touch(touches, True, True, digits, growth)
+
+
+@inlined
+def _lie(world, row, query, slot, touched, found, place):
+    if not touched.compared:  # else it is there already
+        pose_at(world, slot, of_row(world.times.at, row))
+    look_at(world.spare, 0, query.record[0].position, found, place)
+    apply_growth(found, place, touched.growth, None)
+
+
+@inlined
+def _answer_one(world, row, query, mask, enough, node_handles, found):
+    return find_touching(
+        world, row, query, mask, enough, node_handles, found, _candidates, _touch, _lie
+    )
+
+
 @lean_kernel
-def touch_rows(tree, moving, then, queries, options, memory, answers):
-    """Answer the rows [start, stop) by plain `Answers`, options = (start, stop, what
-    is wanted, handles before these rows). Returns (rows done, room wanted, handles written, pairs
-    compared): fewer rows than there are where there is no room for the next one, or where that is
-    not legal, with FAULTY as room wanted; OUTSIDE or REFUSED instead. `memory` holds what
-    touches the last row, if not ANY is wanted, see `room_in`.
+def overlap_rows_at(tree, moving, times, node_handles, memory, rows, place, options, answers):
+    """`answer_overlaps` at times, and the version of the tree; OUTSIDE instead of rows if bounds
+    do not hold for one, REFUSED if the tree is changed.
     """
-    room, found = room_in(memory)
-    (row, stop, wanted, before), (records, _, tolerances, masks, _) = options, queries
-    why = begin_asking(tree, moving, stop - row)
+    why = begin_asking(tree, moving, place[1] - place[0])
     if why != 0:
-        return why, 0, 0, 0
-    grown, box = stack_array((2, 3), np.float64), stack_array((2, 3), np.float64)
-    own, fit = stack_array(1, records), min(room.slots.shape[0], found.slots.shape[0])
-    needed, written, compared = np.int64(0), np.int64(0), np.int64(0)
-    ndim = moving.velocities[0].velocity.shape[0]
-    while row < stop:
-        at, tolerance = of_row(then.at, row), of_row(tolerances, row)
-        record, bounds, fault = make_row(queries, row, own, box)
-        if covers(moving, at, 0.0, 0.0) == 0:
-            row = np.int64(OUTSIDE)
-            break
-        if fault != FINE:
-            needed = np.int64(FAULTY)
-            break
-        grow(QueryShape(record, bounds, False, tolerance + most_growth(then, at), 0.0), grown)
-        low, high, mask = grown[0, :ndim], grown[1, :ndim], of_row(masks, row)
-        needed = overlap_at(tree, moving, at, low, high, mask, room.slots, 0)
-        if needed > fit or (wanted == ALL and written + needed > answers[2].shape[0]):
-            break
-        some = record[0], tolerance, at, wanted == ANY
-        touching = _touch(tree, moving, then, some, room.slots[:needed], room.spare, found)
-        if wanted != ANY:
-            order_found(found, touching, then.node_handles)
-        written = write_row(
-            then.node_handles, found, touching, wanted, answers, row, before, written
-        )
-        row, compared = row + 1, compared + needed
+        return why, np.int64(0), 0, 0, 0, np.int64(0)
+    world, found = World(tree, moving, times, memory[1], 0.0, None), found_in(memory[0])
+    done = answer_overlaps(
+        world, False, rows, place, options, node_handles, found, answers, _answer_one
+    )
+    version = tree.state[CHANGES]
     end_query(tree.state)
-    return np.int64(row), needed, written, compared
-
-
-@lean_kernel
-def _touch(tree, moving, then, options, slots, spare, found):
-    """Fill in which of some obstacles touch, options = (shape, tolerance, at, whether one is
-    enough), and how they lie to its centre; return how many.
-    """
-    (solid, tolerance, at, enough), bodies, count, growth = options, then.bodies, 0, 0.0
-    # Else the query of the tree was larger than the shape.
-    exact = not solid.shaped and tolerance == 0.0 and most_growth(then, at) == 0.0
-    for slot in slots:
-        touches = exact and not bodies.shapes[slot].shaped
-        if not (touches and enough):
-            growth = pose_at(tree, moving, then, spare, slot, at)
-        shape, planar = spare.shapes[0], bodies.footprints is not None
-        if not touches:
-            reach = tolerance + growth
-            touches, _ = near(shape, bodies.hulls, solid, bodies.query_hulls, reach, planar)
-        if touches and enough:
-            found.slots[0] = slot
-            return 1
-        if touches:
-            found.slots[count], found.points[count, 2] = 0, solid.position[2]
-            look_at(shape, spare.footprints, bodies.hulls, solid.position, found, count)
-            found.slots[count] = slot
-            apply_growth(found, count, growth, None)
-            count += 1
-    return count
+    return (*done, version)
 
 
 @inlined
@@ -210,174 +217,88 @@ def apply_growth(found, row, growth, signed):
     found.distances[row] = left
 
 
-# ---- What is nearest to points and shapes among obstacles that move, at a time a row: see
-# `moving`.
-#
-# As `nearest_rows` and `batch.clearance_rows`.
+# ---- What is nearest to points and shapes among obstacles that move, at a time a row.
 
 # Room for boxes that are as near as the last one that is wanted: those that a shape touches.
 PLACES = 4
 
 
 @inlined
-def _nearest_bounds(tree, near_by, found_before, row, slots, gaps):
+def _nearest_bounds(tree, near_by, before, row, slots, gaps):
     """`nearest_bounds`, from what packets found of this row if they found as many."""
-    if found_before is None:
+    if before is None:
         return nearest_bounds(tree, near_by, slots, gaps)
-    if found_before.slots.shape[1] != slots.shape[0]:
+    if before.slots.shape[1] != slots.shape[0]:
         return nearest_bounds(tree, near_by, slots, gaps)
-    for i in range(found_before.counts[row]):
-        slots[i] = found_before.slots[row, i]
-    return found_before.counts[row], found_before.left_out[row]
+    for i in range(before.counts[row]):
+        slots[i] = before.slots[row, i]
+    return before.counts[row], before.left_out[row]
 
 
 @inlined
-def neighbours(tree, near_by, room, found_before, row):
-    """Slots of the boxes nearest to `near_by`, a `NearAt`: (whether there may be more, how far
-    those are at least, how many). `found_before`: see `near_rows`.
-    """
-    wanted = near_by.k
-    places = max(wanted, PLACES) if found_before is None else wanted
-    slots, gaps = room.slots, room.gaps[:places]
-    total, left_out = _nearest_bounds(tree, near_by, found_before, row, slots[:places], gaps)
-    more, last = total >= wanted, at_least(left_out)
-    return more, last, total
-
-
-@lean_kernel
-def near_rows(tree, moving, then, points, found_before, options, memory, results):
-    """Fill in the rows [start, stop) of `results`.
-
-    options = (start, stop, k, whether some boxes more are likely to be wanted, how many there are,
-    whether an obstacle may stand at two places, `Signed`). `found_before`: what packets found of
-    all rows, `Bounded`, or None. Returns (rows done, room wanted) as `touch_rows`, and how many
-    were found at last.
-    """
-    (room, found), (done, stop, k, some_more, everybody, twice, signed) = room_in(memory), options
-    why = begin_asking(tree, moving, stop - done)
-    if why != 0:
-        return why, 0, np.int64(0)
-    wanted, total = 0, np.int64(0)
-    while done < stop:
-        row = points.order[done] if points.order.shape[0] > 0 else done
-        at, point, reach = of_row(then.at, row), points.points[row], of_row(points.reaches, row)
-        if covers(moving, at, 0.0, 0.0) == 0:
-            done = np.int64(OUTSIDE)
-            break
-        if not is_finite(point, point):
-            end_query(tree.state)
-            return np.int64(done), FAULTY, np.int64(0)
-        more, mask = most_growth(then, at), of_row(points.masks, row)
-        limit, filled = max(reach * ROUNDED, reach) + more, 0
-        wanted = min(k + 1 if some_more else k, everybody + 1)
-        while wanted <= found.slots.shape[0]:
-            near_by = near_at(moving, at, point, point, wanted, limit, mask)
-            others, last, total = neighbours(tree, near_by, room, found_before, row)
-            _lie(tree, moving, then, (point, at), signed, room, room.slots[:total], found)
-            order_found(found, total, then.node_handles)
-            filled = keep(found, total, (k, reach, twice), then.node_handles, results, row)
-            farthest = max(results.distances[row, k - 1], 0.0) * ROUNDED if filled == k else np.inf
-            if not others or last - more > farthest:
-                break
-            wanted = min(wanted * 4, everybody + 1)
-        if wanted > found.slots.shape[0]:
-            break
-        pad(results, row, filled)
-        done += 1
-    end_query(tree.state)
-    return np.int64(done), wanted, total
-
-
-@inlined
-def _lie(tree, moving, then, options, signed, room, slots, found):
-    """Fill in how obstacles lie to a point at a time, options = (point, at)."""
-    point, at = options
-    for i in range(slots.shape[0]):
-        growth = pose_at(tree, moving, then, room.spare, slots[i], at)
-        found.slots[i], found.points[i, 2], shape = 0, point[2], room.spare.shapes[0]
-        look_at(shape, room.spare.footprints, then.bodies.hulls, point, found, i)
-        if signed is not None:
-            signed_distance_in_obstacle(shape, room.spare, point, found, i)
-        found.slots[i] = slots[i]
-        apply_growth(found, i, growth, signed)
-
-
-@lean_kernel
-def clear_rows(tree, moving, then, queries, options, memory, results):
-    """Fill in the rows [start, stop) of `results`, a `batch.Neighbours`; options = (start, stop,
-    reaches, how many boxes there are, the slot of the obstacle that is the only row, or NONE,
-    `Signed`, whether the nearest box is likely to be that of the nearest obstacle).
-    Returns (rows done, room wanted) as `touch_rows`.
-    """
-    row, stop, reaches, everybody, itself, signed, alike = options
-    room, _ = room_in(memory)
-    why = begin_asking(tree, moving, stop - row)
-    if why != 0:
-        return why, 0
-    (records, bounds, _, masks, _), wanted, handles = queries, 0, then.node_handles
-    own = stack_array(1, records)
-    box = stack_array((2, 3), np.float64)
-    grown, besides = 0.0, np.int64(NONE)
-    if itself != NONE:
-        grown = put_itself(tree, moving, then, (records, bounds[0]), itself, room.spare)
-        besides = handles[itself]
-    while row < stop:
-        at, reach, mask = of_row(then.at, row), of_row(reaches, row), of_row(masks, row)
-        if covers(moving, at, 0.0, 0.0) == 0:
-            row = np.int64(OUTSIDE)
-            break
-        more = most_growth(then, at) + grown
-        record, corners, fault = make_row(queries, row, own, box)
-        if fault != FINE:
-            end_query(tree.state)
-            return np.int64(row), FAULTY
-        low, high = corners[0], corners[1]
-        exact = more == 0.0 and not record[0].shaped
-        limit, wanted = max(reach * batch.ROUNDED_GAP, reach) + more, 1 if exact and alike else 2
-        while wanted <= room.gaps.shape[0]:
-            near_by = near_at(moving, at, low, high, wanted, limit, mask)
-            others, last, total = neighbours(tree, near_by, room, None, row)
-            batch.write_none(results, row)
-            fetch(tree, moving, then, room.slots[:total])
-            for slot in room.slots[:total]:
-                pair, least = (record[0], slot, at), max(results.distances[row], 0.0)
-                passed = least < np.inf and exact and _is_farther(tree, moving, then, pair, least)
-                if handles[slot] != besides and not passed:
-                    growths = grown, pose_at(tree, moving, then, room.spare, slot, at)
-                    pair = record[0], slot, reach
-                    _clear(room.spare, pair, growths, signed, handles, results, row)
-            distance = max(results.distances[row], 0.0)
-            if not others or last - more > distance * batch.ROUNDED_GAP:
-                break
-            wanted = min(wanted * batch.MORE_BOXES, everybody + 1)
-        if wanted > room.gaps.shape[0]:
-            break
-        row += 1
-    end_query(tree.state)
-    return np.int64(row), wanted
-
-
-@inlined
-def fetch(tree, moving, then, slots):
-    """Prefetch the memory that `pose_at` reads."""
-    for slot in slots:
-        prefetch(then.bodies.shapes, slot, 2)
+def _neighbours(world, row, low, high, wanted, reach, mask, found):
+    tree, moving, times, _, grown, before = world
+    at, places = of_row(times.at, row), wanted
+    if covers(moving, at, 0.0, 0.0) == 0:
+        return np.int64(OUTSIDE), False, 0.0
+    more = most_growth(times, at) + grown
+    near_by = near_at(moving, at, low, high, wanted, reach + more, mask)
+    if before is None:
+        places = max(wanted, PLACES)
+    slots, gaps = found.slots[:places], found.bounds[:places]
+    count, left_out = _nearest_bounds(tree, near_by, before, row, slots, gaps)
+    for slot in slots[:count]:  # what `pose_at` reads
+        prefetch(times.bodies.shapes, slot, 2)
         fetch_box(tree, moving, slot)
+    return np.int64(count), count >= wanted, at_least(left_out) - more
 
 
 @inlined
-def _is_farther(tree, moving, then, pair, least):
-    """Whether two aligned boxes, pair = (shape, slot, at), are farther apart than this: as
-    `pose_at` and `box_gap` have it, without a copy or points. For others False.
+def _lie_to_point(world, row, slot, point, signed, found, place):
+    growth = pose_at(world, slot, of_row(world.times.at, row))
+    look_at(world.spare, 0, point, found, place)
+    if signed is not None:
+        signed_distance_in_obstacle(world.spare, 0, point, found, place)
+    apply_growth(found, place, growth, signed)
+
+
+@lean_kernel
+def nearest_rows_at(tree, moving, times, node_handles, memory, points, place, options, near):
+    """`answer_nearest` at times, as `overlap_rows_at`."""
+    why = begin_asking(tree, moving, place[1] - place[0])
+    if why != 0:
+        return why, np.int64(0), np.int64(0), np.int64(0)
+    world, found = World(tree, moving, times, memory[1], 0.0, points.before), found_in(memory[0])
+    done = answer_nearest(
+        world, points, place, options, node_handles, found, near, False, _neighbours, _lie_to_point
+    )
+    version = tree.state[CHANGES]
+    end_query(tree.state)
+    return (*done, version)
+
+
+@inlined
+def _look(world, row, one, slot, reach, signed, node_handles, results):
+    at, least = of_row(world.times.at, row), max(results.distances[row], 0.0)
+    exact = least < np.inf and world.grown == 0.0 and is_exact(world, one, at)
+    if exact and _is_farther(world, one, slot, at, least):
+        return
+    growths = world.grown, pose_at(world, slot, at)
+    look_at_shape(world.spare, 0, one, growths, slot, reach, signed, node_handles, results, row)
+
+
+@inlined
+def _is_farther(world, one, slot, at, least):
+    """Whether two aligned boxes are farther apart than this at a time: as `pose_at` and `box_gap`
+    have it, without a copy or points. For others False.
     """
-    one, slot, at = pair
-    other, gaps = then.bodies.shapes[slot], stack_array(3, np.float64)
+    other, gaps = world.times.bodies.shapes[slot], stack_array(3, np.float64)
     if other.shaped:
         return False
-    _, _, velocity, reference = box_of(tree, moving, slot)
-    since = elapsed(at, reference, moving.nanoseconds)
+    _, _, velocity, reference = box_of(world.tree, world.moving, slot)
+    since = elapsed(at, reference, world.moving.nanoseconds)
     for axis in range(velocity.shape[0]):
-        displaced = displacement(velocity[axis], since, moving.left)
+        displaced = displacement(velocity[axis], since, world.moving.left)
         position, half = other.position[axis] + displaced, other.half[axis]
         low = max(one.position[axis] - one.half[axis], position - half)
         high = min(one.position[axis] + one.half[axis], position + half)
@@ -386,47 +307,162 @@ def _is_farther(tree, moving, then, pair, least):
 
 
 @inlined
-def put_itself(tree, moving, then, query, slot, spare):
-    """Write an obstacle to query = (record, bounds) where it stands at the first time; return by
-    how much it has grown.
+def _put_itself(world, rows, slot):
+    """Write an obstacle to the only row, where it stands at the time; return by how much it has
+    grown.
     """
-    record, bounds = query
-    lo, hi, velocity, reference = box_of(tree, moving, slot)
-    at = then.at[0]
-    since = elapsed(at, reference, moving.nanoseconds)
+    records, bounds, _, _, _ = rows
+    lo, hi, velocity, reference = box_of(world.tree, world.moving, slot)
+    at = world.times.at[0]
+    since = elapsed(at, reference, world.moving.nanoseconds)
     for axis in range(lo.shape[0]):
-        displaced = displacement(velocity[axis], since, moving.left)
-        bounds[0, axis], bounds[1, axis] = lo[axis] + displaced, hi[axis] + displaced
-    grown = pose_at(tree, moving, then, spare, slot, at)
-    record[0] = spare.shapes[0]
+        displaced = displacement(velocity[axis], since, world.moving.left)
+        bounds[0, 0, axis], bounds[0, 1, axis] = lo[axis] + displaced, hi[axis] + displaced
+    grown = pose_at(world, slot, at)
+    records[0] = world.spare.shapes[0]
     return grown
 
 
 @lean_kernel
-def _clear(spare, pair, growths, signed, node_handles, results, row):
-    """Keep an obstacle where it stands, pair = (shape, slot, reach), if it is the nearer one."""
-    one, slot, reach = pair
-    points = stack_array((2, 3), np.float64)
-    distance = batch.apart(one, spare.shapes[0], spare, signed, points)
-    if growths[0] + growths[1] > 0.0:
-        distance = _grow_both(points, distance, growths, signed)
-    if spare.footprints is not None:
-        points[0, 2] = points[1, 2] = one.position[2]
-    batch.keep_nearer(node_handles, (slot, distance, reach), points, results, row)
+def clearance_rows_at(tree, moving, times, node_handles, memory, rows, place, options, results):
+    """`answer_clearances` at times, as `overlap_rows_at`."""
+    why = begin_asking(tree, moving, place[1] - place[0])
+    if why != 0:
+        return why, np.int64(0), np.int64(0)
+    world, grown, itself = World(tree, moving, times, memory[1], 0.0, None), 0.0, options[1]
+    if itself != NONE:
+        grown = _put_itself(world, rows, itself)
+    world, found = World(tree, moving, times, memory[1], grown, None), found_in(memory[0])
+    done = answer_clearances(
+        world, rows, place, options, node_handles, found, results, False, _neighbours, _look
+    )
+    version = tree.state[CHANGES]
+    end_query(tree.state)
+    return (*done, version)
 
 
-@inlined
-def _grow_both(points, distance, growths, signed):
-    """The distance of two shapes after both have grown, and their points."""
-    left = distance - growths[0] - growths[1]
-    if signed is None and left <= 0.0:
-        share = 0.0 if distance == 0.0 else min(growths[1] / distance, 1.0)
-        for axis in range(3):
-            points[1, axis] += share * (points[0, axis] - points[1, axis])
-            points[0, axis] = points[1, axis]
-        return 0.0
-    for axis in range(3):
-        displaced = (points[0, axis] - points[1, axis]) / distance if distance != 0.0 else 0.0
-        points[0, axis] -= growths[0] * displaced
-        points[1, axis] += growths[1] * displaced
-    return left
+# ---- How the kernels are called.
+
+MOST = 16  # boxes that packets look for
+
+
+class CachedArguments(NamedTuple):
+    """Arguments of kernels while the world has one version and these arrays."""
+
+    version: int
+    bodies: Any
+    times: QueryTimes
+    memory: tuple[Any, Any]
+    """Where kernels write what they find, and `Bodies` with one shape."""
+
+
+class TimedScratch(Scratch):
+    """The same for queries at times."""
+
+    def __init__(self) -> None:
+        self.at, self.answers = np.empty(1), room_for(1, COUNT)
+        super().__init__()
+
+    def make_room(self, count: int) -> None:
+        self.cached: CachedArguments | None = None
+        self.shape, self.footprint = np.empty(1, GEOMETRY), np.empty(1, FOOTPRINT)
+        super().make_room(count)
+
+
+class TimedDistances(Distances):
+    """Overlaps and distances in one scene, among obstacles as they are at times."""
+
+    kernels: tuple[Any, ...] = overlap_rows_at, nearest_rows_at, clearance_rows_at
+    scratch = TimedScratch
+    moments = True
+    """Whether each row is at one time."""
+
+    def _find(
+        self, query: QueryShape, hulls: Hulls | None, mask: np.uint32, at: Any
+    ) -> tuple[Scratch, list[int]]:
+        scratch: Any = self._take()
+        columns, done = self._columns, 0
+        scratch.limits[0], scratch.masks[0] = query.tolerance, mask
+        rows = query.record, query.bounds[None], scratch.limits, scratch.masks, NO_GIVEN
+        batch = OVERLAPS, rows, (COUNT, 0), scratch.answers, hulls, True, at
+        while not done:
+            view = self._tree.latest()
+            done, wanted, _, compared, more, _ = self._ask(view, scratch, batch, 0, 1)
+            if compared:
+                columns.pairs_compared += compared
+                columns.pairs_in_more_digits += more
+            if not done:
+                scratch.have_room(wanted)
+        count, found = scratch.answers[1].item(0), scratch.found
+        if columns.footprint is not None:
+            found.points[:count, 2] = query.height
+        return scratch, found.order[:count].tolist() if count else []
+
+    def _look_ahead(self, points: Points, k: int, signed: Signed, at: Any) -> tuple[Points, Any]:
+        """Of a batch that is dense enough; `nearest_rows_at` finds the rest, and all where
+        obstacles grow.
+        """
+        columns, tree, count = self._columns, self._tree, len(points[0])
+        more = columns.shaped > 0 or columns.shadows > 0 or signed is not None
+        wanted, motion = min(k + more, len(tree) + 1), tree.motion
+        dense = wanted <= MOST and are_dense(count, len(tree)) and not self._store.uncertainty
+        if not dense or motion is None:
+            return points, None
+        where, limits = along_axes(points.points, tree.ndim), points.reaches
+        limits = np.maximum(limits * ROUNDED, limits)
+        slots, counts = np.empty((count, wanted), INT64), np.empty(count, INT64)
+        packets = Bounded(slots, counts, np.empty(count))
+
+        def begin(start: int, stop: int) -> None:
+            order = points.order[start:stop]
+            near_by = PointQueries(where, wanted, limits, points.masks, order)
+            motion.bound_many(tree, at, near_by, packets)
+
+        return points._replace(before=packets), begin
+
+    # ---- kernels
+
+    def _ask(self, view: View, scratch: Any, batch: Any, start: int, stop: int) -> Any:
+        question, rows, options, results, hulls, _, at = batch
+        times, memory = self._arguments(scratch, view[0], at, hulls)
+        motion = self._tree._motion
+        if motion is None:
+            raise RuntimeError('no obstacle of this scene has a velocity')
+        place, handles = (start, stop), self._columns.node_handle
+        given = times, handles, memory, rows, place, options, results
+        code = self._codes.get((question, type(times[0][2])))
+        if code is None:
+            code = self._compile(question, type(times[0][2]), view[0], motion.moving, *given)
+        done = code(view[0], motion.bounds if self.moments else motion.moving, *given)
+        return done if done[0] >= 0 else self._ask_again(code, given)
+
+    def _ask_again(self, code: Any, given: tuple[Any, ...]) -> Any:
+        """Call it with bounds that hold for these times."""
+        tree: Any = self._tree
+        spans = partial(times_of, given[0].at, *self._spans(given[3]))
+        return tree.motion.ask(tree, spans, lambda *now: code(*now, *given), self.moments)
+
+    def _spans(self, rows: Any) -> tuple[Floats, Floats]:
+        """How many seconds a unit of t takes, and where t ends, one for all or (n,)."""
+        return NOTHING, NOTHING
+
+    def _arguments(
+        self, scratch: TimedScratch, tree: Tree, at: Any, hulls: Hulls | None
+    ) -> tuple[QueryTimes, tuple[Any, Any]]:
+        """The times for a kernel, and the part of `scratch` that it writes to."""
+        cached, version, bodies = scratch.cached, tree[4].item(CHANGES), self._columns.bodies
+        if cached is not None and hulls is None and cached[0] == version and cached[1] is bodies:
+            _, _, times, memory = cached
+        else:
+            store, known = self._store, bodies_of(self._columns, hulls)
+            ends = movers(store)[1:] if store.uncertainty else (0.0, 0.0)
+            times = QueryTimes(known, scratch.at, store.uncertainty, *ends)
+            flat = None if known.footprints is None else scratch.footprint
+            memory = scratch.memory, known._replace(shapes=scratch.shape, footprints=flat)
+            scratch.cached = None
+            if hulls is None:
+                scratch.cached = CachedArguments(version, bodies, times, memory)
+        if type(at) is float:
+            scratch.at[0] = at
+            return times, memory
+        return tuple.__new__(QueryTimes, (times[0], at, *times[2:])), memory

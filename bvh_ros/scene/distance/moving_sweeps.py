@@ -2,13 +2,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """`sweeps` among obstacles that have velocities."""
 
-from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from ...tree.access import Tree, end_query, of_row
-from ...tree.compiler import entry_point, inlined, lean_kernel
+from ...tree.access import CHANGES, end_query, of_row
+from ...tree.compiler import inlined, lean_kernel
 from ...tree.motion.access import (
     OUTSIDE,
     begin_asking,
@@ -17,28 +16,29 @@ from ...tree.motion.access import (
     elapsed,
     moves,
     overlap_swept_at,
-    times_of,
 )
 from ..shapes.shape import Floats
-from ..store import Obstacles, movers
-from .moving import QueryTimes, displacement, most_growth
-from .sweeps import Drift, ShapeSweeper, answer_rows
+from .moving import QueryTimes, TimedDistances, displacement, most_growth
+from .query import found_in
+from .sweeps import Drift, ShapeSweeper, answer_sweeps
+
+ONE = np.ones(1)
 
 
 class World(NamedTuple):
-    """Obstacles that move, for kernels."""
+    """Obstacles that move while a body does, for kernels."""
 
-    tree: Tree
+    tree: Any
     moving: Any
     """`Moving`"""
     times: QueryTimes
     """`at` is when the sweeps start."""
     pace: Floats
-    """s a unit of t, one for all or (n,)."""
+    """See `Rows`."""
 
 
 @inlined
-def _touching(world, row, box, span, mask, slots):
+def _candidates(world, row, box, span, mask, slots):
     at, pace = of_row(world.times.at, row), of_row(world.pace, row)
     if covers(world.moving, at, pace, 1.0) == 0:
         return np.int64(OUTSIDE)
@@ -67,47 +67,26 @@ def _drift(world, row, slot, room):
 
 
 @lean_kernel
-def sweep_rows_at(tree, moving, times, pace, bodies, rows, options, handles_of, slots, results):
-    """`answer_rows`; OUTSIDE instead of rows if bounds do not hold for a time, REFUSED if the tree
-    is changed.
-    """
+def sweep_rows_at(tree, moving, times, node_handles, memory, rows, place, options, results):
+    """`answer_sweeps`, as `overlap_rows_at`; `times` are those when the sweeps start."""
     why = begin_asking(tree, moving, 0)
     if why != 0:
-        return why, np.int64(0)
-    world = World(tree, moving, times, pace)
-    done = answer_rows(world, bodies, rows, options, handles_of, slots, results, _touching, _drift)
+        return why, np.int64(0), np.int64(0)
+    world, slots = World(tree, moving, times, rows.pace), found_in(memory[0]).slots
+    bodies = times.bodies
+    done = answer_sweeps(
+        world, bodies, rows, place, options, node_handles, slots, results, _candidates, _drift
+    )
+    version = tree.state[CHANGES]
     end_query(tree.state)
-    return done
+    return (*done, version)
 
 
-ONE = np.ones(1)
-
-
-class TimedShapeSweeper(ShapeSweeper):
+class TimedShapeSweeper(ShapeSweeper, TimedDistances):
     """Sweeps shapes in one scene, among obstacles that move."""
 
-    def __init__(self, store: Obstacles) -> None:
-        super().__init__(store)
-        self._entries: dict[type, Any] = {}
+    kernels = (sweep_rows_at,)
+    moments = False
 
-    def call(self, given: tuple[Any, ...], *times: Floats) -> tuple[int, int]:
-        """(rows done, room wanted) of the kernel; times = (when the sweeps start, s, and how many
-        seconds a unit of t takes), each one for all or (n,).
-        """
-        store, (at, pace) = self._store, times
-        tree: Any = store.tree
-        ends = movers(store)[1:] if store.uncertainty else (0.0, 0.0)
-        query_times = QueryTimes(given[0], store.columns.node_handle, at, store.uncertainty, *ends)
-        form = type(given[0].hulls)
-        entry = self._entries.get(form)
-        if entry is None:
-            moving = tree.motion.moving
-            entry = entry_point(sweep_rows_at, tree.view().tree, moving, query_times, pace, *given)
-            self._entries[form] = entry
-
-        def call(arrays: Tree, moving: Any) -> Any:
-            return entry(arrays, moving, query_times, pace, *given)
-
-        spans = partial(times_of, at, pace, ONE)
-        done: tuple[int, int] = tree.motion.ask(tree, spans, call, moments=False)
-        return done
+    def _spans(self, rows: Any) -> tuple[Floats, Floats]:
+        return rows.pace, ONE

@@ -562,11 +562,11 @@ def signed_distance_in_box(lo, hi, centre, found, row):
 
 
 @lean_kernel
-def signed_distance_in_obstacle(shape, bodies, centre, found, row):
-    """Where an obstacle holds the centre, fill in how deep."""
+def signed_distance_in_obstacle(bodies, slot, centre, found, row):
+    """Where the obstacle of a slot holds the centre, fill in how deep."""
     if found.distances[row] > 0.0:
         return
-    ndim = 3 if bodies.footprints is None else 2
+    shape, ndim = bodies.shapes[slot], 3 if bodies.footprints is None else 2
     points = stack_array((2, 3), np.float64)
     if not shape.shaped:
         fill_corners(shape, points)

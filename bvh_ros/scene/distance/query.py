@@ -15,7 +15,6 @@ from ...tree.access import (
     checks,
     end_query,
     leaf_box,
-    nearest,
     of_row,
     overlap,
 )
@@ -57,7 +56,6 @@ from .narrow_phase import (
     look_back,
     near,
 )
-from .penetration import signed_distance_in_box, signed_distance_in_obstacle
 
 # ---- The shape of an overlap query.
 
@@ -380,16 +378,6 @@ def found_in(memory):
 
 
 @inlined
-def broad_phase(tree, query, mask, found):
-    """Write the slots whose boxes touch the grown query's; return how many, which may be more
-    than fit.
-    """
-    grown = stack_array((2, 3), np.float64)
-    grow(query, grown)
-    return overlap(tree, grown[0], grown[1], mask, found.slots, 0)
-
-
-@inlined
 def within(lo, hi, query):
     """(whether an axis-aligned box is within the tolerance of the query's, whether that is
     sure).
@@ -403,98 +391,137 @@ def within(lo, hi, query):
     return distance <= query.tolerance, sure
 
 
-@lean_kernel
-def overlap_kernel(tree, bodies, query, mask, enough, node_handles, found):
-    """Fill in what touches a query; return (how many, how many are doubtful, how many pairs were
-    compared, how many of them took more digits). `bodies` is None where all are axis-aligned
-    boxes, the query's, too. More than fit: none is filled in. Where one is `enough`, the first
-    that surely touches is the last, and nothing is filled in.
-    """
-    if not begin_query(tree.state, ANY_VERSION):
-        return np.int64(REFUSED), 0, 0, 0
-    total, count, doubtful, compared, more = broad_phase(tree, query, mask, found), 0, 0, 0, 0
-    if total <= found.slots.shape[0]:
-        solid = query.record[0]
-        for i in range(total):
-            slot, near_by, sure, narrow = found.slots[i], True, True, False
-            if bodies is not None:
-                shape, planar = bodies.shapes[slot], bodies.footprints is not None
-                narrow = shape.shaped or not query.aligned
-                if narrow:
-                    near_by, digits = near(
-                        shape, bodies.hulls, solid, bodies.query_hulls, query.tolerance, planar
-                    )
-                    compared += 1
-                    more += digits
-            if not narrow and query.tolerance > 0.0:
-                lo, hi = leaf_box(tree.nodes, tree.tight, 2 * slot)
-                near_by, sure = within(lo, hi, query)
-            if not (near_by or not sure):
-                continue
-            doubtful += not sure
-            if enough:
-                count += 1
-                if sure:
-                    break
-                continue
-            found.slots[count], found.doubtful[count] = slot, not sure
-            found.points[count, 2] = query.height
-            if bodies is None:
-                lo, hi = leaf_box(tree.nodes, tree.tight, 2 * slot)
-                look_at_box(lo, hi, solid.position, found, count)
-            else:
-                look_at(shape, bodies.footprints, bodies.hulls, solid.position, found, count)
-            count += 1
-        if not enough:
-            order_found(found, count, node_handles)
-    end_query(tree.state)
-    count = total if total > found.slots.shape[0] else count
-    return np.int64(count), doubtful, compared, more
+class AtRest(NamedTuple):
+    """Obstacles as they are stored, for kernels."""
+
+    tree: Any
+    bodies: Any
+    """`Bodies`; None where all are axis-aligned boxes, the queries, too."""
 
 
-@lean_kernel
-def nearest_kernel(tree, bodies, point, options, signed, node_handles, found):
-    """Fill in what is in the boxes nearest to a point, `bodies` as of `overlap_kernel`; options =
-    (count, max_distance, mask). Return how many there are. Where it is `signed`, not None, those
-    that hold the point lie as deep as it is in them: see `penetration`.
-    """
-    count, max_distance, mask = options
-    if not begin_query(tree.state, ANY_VERSION):
-        return np.int64(REFUSED)
-    count = nearest(tree, point, point, count, max_distance, mask, found.slots, found.bounds)
-    for i in range(count):
-        slot, found.points[i, 2] = found.slots[i], point[2]
-        if bodies is None:
-            lo, hi = leaf_box(tree.nodes, tree.tight, 2 * slot)
-            look_at_box(lo, hi, point, found, i)
-            if signed is not None:
-                signed_distance_in_box(lo, hi, point, found, i)
-        else:
-            shape = bodies.shapes[slot]
-            look_at(shape, bodies.footprints, bodies.hulls, point, found, i)
-            if signed is not None:
-                signed_distance_in_obstacle(shape, bodies, point, found, i)
-    order_found(found, count, node_handles)
-    end_query(tree.state)
-    return np.int64(count)
+class Touch(NamedTuple):
+    """Whether an obstacle touches a query."""
+
+    touches: Any
+    sure: Any
+    """Else only exact arithmetic decides."""
+    compared: Any
+    """Whether that took a narrow phase."""
+    in_more_digits: Any
+    growth: Any
+    """By how much the obstacle has grown."""
 
 
 @inlined
-def look_at_box(lo, hi, centre, found, row):
-    """Fill in how the axis-aligned box of a row lies to a centre."""
-    closest_in_box(lo, hi, centre, found.points[row])
-    found.distances[row] = look_back(found.points[row], centre, lo.shape[0], found.normals[row])
+def find_touching(world, row, query, mask, enough, node_handles, found, candidates, touch, lie):
+    """Fill in what touches a query; return (how many, how many are doubtful, how many pairs were
+    compared, how many of them took more digits). More than fit: none is filled in. Where one is
+    `enough`, the first that surely touches is the last, and nothing but its slot is filled in.
+
+    candidates(world, row, query, mask, found) writes the slots of all that may touch the query,
+    and returns how many they are, or a negative number, which ends it. touch(world, row, query,
+    slot) returns a `Touch`. lie(world, row, query, slot, touched, found, place) then fills in how
+    the obstacle lies to the centre of the query.
+    """
+    total, count, doubtful = candidates(world, row, query, mask, found), np.int64(0), 0
+    compared, more = 0, 0
+    if total < 0 or total > found.slots.shape[0]:
+        return total, doubtful, compared, more
+    for i in range(total):
+        slot = found.slots[i]
+        touched = touch(world, row, query, slot)
+        compared += touched.compared
+        more += touched.in_more_digits
+        if touched.sure and not touched.touches:
+            continue
+        doubtful += not touched.sure
+        if enough:
+            count += 1
+            if touched.sure:
+                break
+            continue
+        found.doubtful[count], found.points[count, 2] = not touched.sure, query.height
+        lie(world, row, query, slot, touched, found, count)
+        found.slots[count] = slot
+        count += 1
+    if not enough:
+        order_found(found, count, node_handles)
+    return count, doubtful, compared, more
+
+
+@inlined
+def _candidates(world, row, query, mask, found):
+    grown = stack_array((2, 3), np.float64)
+    grow(query, grown)
+    return overlap(world.tree, grown[0], grown[1], mask, found.slots, 0)
+
+
+@inlined
+def _touch(world, row, query, slot):
+    return _touch_body(world.tree, world.bodies, query, slot)
+
+
+@inlined
+def _touch_body(tree, bodies, query, slot):
+    touches, sure, narrow, digits = True, True, False, False
+    if bodies is not None:
+        shape, planar = bodies.shapes[slot], bodies.footprints is not None
+        narrow = shape.shaped or not query.aligned
+        if narrow:
+            solid, reach = query.record[0], query.tolerance
+            touches, digits = near(shape, bodies.hulls, solid, bodies.query_hulls, reach, planar)
+    if not narrow and query.tolerance > 0.0:
+        lo, hi = leaf_box(tree.nodes, tree.tight, 2 * slot)
+        touches, sure = within(lo, hi, query)
+    return Touch(touches, sure, narrow, digits, 0.0)
+
+
+@inlined
+def _lie(world, row, query, slot, touched, found, place):
+    lie_at_rest(world.tree, world.bodies, slot, query.record[0].position, found, place)
+
+
+@inlined
+def lie_at_rest(tree, bodies, slot, centre, found, row):
+    """Fill in how an obstacle at rest lies to a centre."""
+    if bodies is None:
+        lo, hi = leaf_box(tree.nodes, tree.tight, 2 * slot)
+        closest_in_box(lo, hi, centre, found.points[row])
+        distance = look_back(found.points[row], centre, lo.shape[0], found.normals[row])
+        found.distances[row] = distance
+    else:
+        look_at(bodies, slot, centre, found, row)
 
 
 @lean_kernel
-def look_at(shape, footprints, hulls, centre, found, row):
-    """Fill in how the obstacle of a row lies to a centre."""
-    point, normal = found.points[row], found.normals[row]
+def overlap_kernel(tree, bodies, query, mask, enough, node_handles, found):
+    """`find_touching` among obstacles at rest, `bodies` as of `AtRest`; REFUSED instead of a count
+    if the tree is being changed.
+    """
+    if not begin_query(tree.state, ANY_VERSION):
+        return np.int64(REFUSED), 0, 0, 0
+    world = AtRest(tree, bodies)
+    done = find_touching(
+        world, 0, query, mask, enough, node_handles, found, _candidates, _touch, _lie
+    )
+    end_query(tree.state)
+    return done
+
+
+@lean_kernel
+def look_at(bodies, slot, centre, found, row):
+    """Fill in how the obstacle of a slot lies to a centre."""
+    point, normal, shape = found.points[row], found.normals[row], bodies.shapes[slot]
+    distance = closest_to(shape, bodies.footprints, slot, bodies.hulls, centre, point, normal)
+    found.distances[row] = distance
+
+
+@inlined
+def closest_to(shape, footprints, slot, hulls, centre, point, normal):
+    """`closest_in_obstacle`, in a planar scene from above."""
     if footprints is None:
-        found.distances[row] = closest_in_obstacle(shape, hulls, centre, point, normal)
-    else:
-        footprint = footprints[found.slots[row]]
-        found.distances[row] = closest_from_above(shape, footprint, hulls, centre, point, normal)
+        return closest_in_obstacle(shape, hulls, centre, point, normal)
+    return closest_from_above(shape, footprints[slot], hulls, centre, point, normal)
 
 
 @inlined
@@ -530,15 +557,3 @@ def sift_down(found, node_handles, root, count):
             return
         order[root], order[child] = order[child], order[root]
         root = child
-
-
-class Scratch:
-    """Room for what queries find, see `Spare`."""
-
-    def __init__(self) -> None:
-        self.make_room(32)
-
-    def make_room(self, count: int) -> None:
-        """Have room for at least so many rows."""
-        self.memory = np.empty(FOUND * 2 * count)
-        self.found: Found = found_in.py_func(self.memory)

@@ -10,12 +10,12 @@ from numpy.typing import NDArray
 
 from ...tree.access import (
     ALL,
+    CHANGES,
     INT64,
     REFUSED,
     Near,
     begin_query,
     end_query,
-    in_threads,
     of_row,
     overlap_swept,
     visit_nearest,
@@ -38,9 +38,8 @@ from ..shapes.shape import (
     rotate,
 )
 from ..shapes.surface import gap_square
-from ..store import Obstacles
-from .batch import RowKernel, bodies_of
 from .certified import certified_bounds, plus, set_normal, times
+from .distances import Distances
 from .gjk import (
     AXES,
     CENTRE,
@@ -57,6 +56,7 @@ from .gjk import (
     support,
 )
 from .narrow_phase import FRAMES, fill_core, holds_part, to_frame
+from .query import found_in
 
 # ---- How a shape goes from one pose to another.
 #
@@ -707,20 +707,24 @@ class Rows(NamedTuple):
     masks: NDArray[np.uint32]
     """One for all, or (n,)."""
     resolution: float
+    pace: Any
+    """s a unit of t, one for all or (n,); None among obstacles at rest."""
 
 
 @inlined
-def answer_rows(world, bodies, rows, options, handles_of, slots, results, candidates, drift_of):
+def answer_sweeps(
+    world, bodies, rows, place, options, node_handles, slots, results, candidates, drift_of
+):
     """Fill in the rows [start, stop) of `results`, slots of obstacles and the columns of
-    `ShapeSweeps`; options = (start, stop, whether any contact will do). Returns (rows done, room
-    wanted in `slots`): fewer rows than there are where there is no room.
+    `ShapeSweeps`; place = (start, stop), options = (whether any contact will do,). Returns (rows
+    done, room wanted in `slots`): fewer rows than there are where there is no room.
 
     candidates(world, row, box, span, mask, slots) writes the slots of all that a swept box may
     touch in a span of t, box = (lo, hi, translation), and returns how many they are, or a negative
     number, which ends it.
     drift_of(world, row, slot, room) returns the `Drift` of an obstacle.
     """
-    row, stop, enough = options
+    (row, stop), (enough,) = place, options
     slots_met, handles, t, free_until, points, normals = results
     motion, contact = stack_array(MOTION, np.float64), stack_array((2, 3), np.float64)
     room = stack_array((5, 3), np.float64)
@@ -752,7 +756,7 @@ def answer_rows(world, bodies, rows, options, handles_of, slots, results, candid
                     *(bodies.hulls, bodies, body, rows.box, motion),
                     *(shape, drift, limits, times_of, contact),
                 )
-                handle = np.int64(handles_of[slot])
+                handle = np.int64(node_handles[slot])
                 if found < first or (found == first and found < np.inf and handle < best):
                     first, best, slots_met[row] = found, handle, slot
                     for axis in range(3):
@@ -777,7 +781,7 @@ def answer_rows(world, bodies, rows, options, handles_of, slots, results, candid
 
 
 @inlined
-def _touching(tree, _row, box, _span, mask, slots):
+def _candidates(tree, _row, box, _span, mask, slots):
     ndim = tree.nodes[0].lo.shape[0]
     return overlap_swept(tree, box[0][:ndim], box[1][:ndim], box[2][:ndim], mask, slots)
 
@@ -788,53 +792,34 @@ def _at_rest(_tree, _row, _slot, room):
 
 
 @lean_kernel
-def sweep_rows(view, bodies, rows, options, handles_of, slots, results):
-    """`answer_rows` among obstacles at rest; REFUSED instead of rows if the tree is changed."""
-    if not begin_query(view.tree.state, view.version):
-        return np.int64(REFUSED), np.int64(0)
-    done = answer_rows(
-        view.tree, bodies, rows, options, handles_of, slots, results, _touching, _at_rest
+def sweep_rows(view, bodies, node_handles, memory, rows, place, options, results):
+    """`answer_sweeps` among obstacles at rest, as `overlap_rows`."""
+    tree, slots = view.tree, found_in(memory).slots
+    if not begin_query(tree.state, view.version):
+        return np.int64(REFUSED), np.int64(0), np.int64(0)
+    done = answer_sweeps(
+        tree, bodies, rows, place, options, node_handles, slots, results, _candidates, _at_rest
     )
-    end_query(view.tree.state)
-    return done
+    version = tree.state[CHANGES]
+    end_query(tree.state)
+    return (*done, version)
 
 
-# ---- How the kernel is called.
-
-FEW = 64  # obstacles that there is room for at first
-
-
-class ShapeSweeper:
+class ShapeSweeper(Distances):
     """Sweeps shapes in one scene, among obstacles as they are."""
 
-    def __init__(self, store: Obstacles) -> None:
-        self._store = store
-        self._kernel = RowKernel(sweep_rows)
+    kernels = (sweep_rows,)
 
-    def find(
-        self, rows: Rows, hulls: Hulls | None, enough: bool, threads: int, *times: Floats
+    def sweep(
+        self, rows: Rows, hulls: Hulls | None, enough: bool, threads: int, at: Any
     ) -> tuple[NDArray[np.int64], ShapeSweeps]:
         """First contacts of n sweeps, and the slots of the obstacles; `hulls` are the body's.
-        `enough`: of each row any contact will do. `times`: see `moving_sweeps`.
+        `enough`: of each row any contact will do. `at`: when they start, s, one for all or (n,).
         """
         count = len(rows.starts)
         slots, handles = np.empty(count, INT64), np.empty(count, np.uint32)
         places = np.empty((count, 3)), np.empty((count, 3))
         found = ShapeSweeps(handles, np.empty(count), np.empty(count), *places)
-        columns = self._store.columns
-        bodies = bodies_of(columns, hulls)
-
-        def work(start: int, stop: int) -> None:
-            wanted = FEW
-            while start < stop:
-                options, some = (start, stop, enough), np.empty(wanted, INT64)
-                given = bodies, rows, options, columns.node_handle, some, (slots, *found)
-                start, wanted = self.call(given, *times)
-
-        in_threads(work, count, threads)
+        batch = 0, rows, (enough,), (slots, *found), hulls, True, at
+        self._answer(batch, count, threads)
         return slots, found
-
-    def call(self, given: tuple[Any, ...], *_times: Floats) -> tuple[int, int]:
-        """(rows done, room wanted) of the kernel."""
-        done: tuple[int, int] = self._kernel.call((self._store.tree.view(), *given))
-        return done
