@@ -160,12 +160,13 @@ def use_tree(ndim: int) -> None:
 # scene with shapes: another process compiles meanwhile how shapes get there.
 
 
-def _distances_of_meshes(_needs: Needs) -> None:
+def _distances_of_meshes(needs: Needs) -> None:
     """The longest part that all share. Begun first, it is there when they come to it."""
     vector = np.zeros(3)
     prepare(hull_gap, Hull(CORNERS, CORNERS[None], 1.0), vector, vector, vector)
-    fine = [np.add(face, 8.0 * k) for k in range(8) for face in TETRAHEDRON]
-    _ = Mesh(fine).tree  # with the snapshot that many triangles have
+    if needs.any_mesh:
+        fine = [np.add(face, 8.0 * k) for k in range(8) for face in TETRAHEDRON]
+        _ = Mesh(fine).tree  # with the snapshot that many triangles have
 
 
 def _balls(needs: Needs) -> None:
