@@ -34,6 +34,7 @@ class Lying(NamedTuple):
 
     depths: Floats  # (m,) at most
     normals: Floats  # (m, 3) of those planes, outward unit vectors
+    area: float  # of the hull
 
 
 def lying(points: Floats, corners: Integers, enough: float) -> Lying:
@@ -43,8 +44,8 @@ def lying(points: Floats, corners: Integers, enough: float) -> Lying:
     first such triangles, and says 0 of those that it did not look at. Else some plane that says so
     little is taken.
     """
-    equations, faces = _hull(points)
-    found = Lying(np.full(len(corners), np.inf), np.zeros((len(corners), 3)))
+    equations, faces, area = _hull(points)
+    found = Lying(np.full(len(corners), np.inf), np.zeros((len(corners), 3)), area)
     row, face = _shared(corners, faces, len(points))
     found.depths[row], found.normals[row] = 0.0, equations[face, :3]
     rest = np.flatnonzero(found.depths > enough)
@@ -75,9 +76,9 @@ def lying(points: Floats, corners: Integers, enough: float) -> Lying:
     return found
 
 
-def _hull(points: Floats) -> tuple[Floats, Integers]:
+def _hull(points: Floats) -> tuple[Floats, Integers, float]:
     """Planes (f, 4) of the hull of points, outward unit normal n and d, n . x + d <= 0 within it;
-    and the triangles (f, 3) of its surface that they go through.
+    the triangles (f, 3) of its surface that they go through; and its area.
     """
     # Only meshes need this library: it is imported when the first one comes.
     from scipy.spatial import ConvexHull, QhullError
@@ -88,9 +89,9 @@ def _hull(points: Floats) -> tuple[Floats, Integers]:
     try:
         hull = ConvexHull(points + np.random.default_rng(1).uniform(-by, by, points.shape))
     except QhullError:
-        raise ValueError('the mesh is flat: it has no inside') from None
+        raise ValueError('the mesh is flat, as far as float32 tells') from None
     equations = hull.equations - [0.0, 0.0, 0.0, math.sqrt(3.0) * by]
-    return equations, hull.simplices.astype(np.int64)
+    return equations, hull.simplices.astype(np.int64), float(hull.area)
 
 
 def _shared(corners: Integers, faces: Integers, count: int) -> tuple[Integers, Integers]:
@@ -493,7 +494,11 @@ def _squares(columns: Floats) -> Floats:
 # of all corners and the solid that is kept differ by more.
 
 
-FLAT = 2.0**-46  # of a mesh's size: what rounding may make of a height in it, and more
+# Of the product of a triangle's shorter sides over twice its area, which is at least 1: its unit
+# normal is off by less than 2**-50, and the height of another corner above its plane by less than
+# 2**-49 times how far that is.
+TURNED = 2.0**-48
+EVEN = 2.0**-16  # by how much of its area a surface may differ from its hull
 SMALLEST, LARGEST = 1e-100, 1e100  # beyond, products of three lengths leave the range of doubles
 
 
@@ -520,9 +525,9 @@ def convex_surface(given: Given, rows: Integers, linked: Linked) -> Surface:
     rows = given.rows[rows]
     closed = _closed(rows, linked)
     vertices, corners = points[closed.used], closed.corners
-    normals, heights, middle = _planes(vertices, corners)
-    sliver = heights <= noise
-    if sliver.any() or not bends_outwards(vertices - middle, closed, normals, heights):
+    planes = _planes(vertices, corners)
+    sliver = planes.heights <= noise
+    if sliver.any() or not bends_outwards(vertices, closed, planes):
         lies = lying(points, closed.used[corners], noise)
         worst = int(np.argmax(lies.depths))
         if lies.depths[worst] > noise:
@@ -531,15 +536,17 @@ def convex_surface(given: Given, rows: Integers, linked: Linked) -> Surface:
                 f'the mesh is not convex at triangle {int(rows[closed.row[worst]])}: it lies '
                 f'{depth:.3g} m within the hull of all corners, and {allowed:.3g} m are allowed'
             )
-        normals[sliver] = lies.normals[sliver]
-        around = goes_around(vertices.take(corners, axis=0) - middle, heights)
-        if not around or parts_of(corners)[0] > 1:
+        planes.normals[sliver] = lies.normals[sliver]
+        # A thin rim may lie as deep as is allowed, and yet far beside that of the hull.
+        even = abs(planes.area - lies.area) <= EVEN * lies.area
+        around = goes_around(vertices.take(corners, axis=0) - planes.middle, planes.heights)
+        if not (even and around) or parts_of(corners)[0] > 1:
             raise ValueError('the mesh is not the surface of one convex solid')
     real = ~sliver
     real[sliver] = _have_area(given.points, closed.used[corners[sliver]])
     used, corners = used_by(corners[real])
     vertices = given.points[closed.used[used]]
-    return Surface(vertices, corners, rows[closed.row[real]], normals[real])
+    return Surface(vertices, corners, rows[closed.row[real]], planes.normals[real])
 
 
 def _closed(rows: Integers, linked: Linked) -> Closed:
@@ -570,42 +577,58 @@ def _require_thickness(points: Floats, corners: Integers, noise: float) -> None:
     largest = normals[:, np.argmax(_squares(normals))]
     length = np.linalg.norm(largest)
     if length == 0.0 or np.ptp(points @ (largest / length)) <= 4.0 * noise:
-        raise ValueError('the mesh is flat: it has no inside')
+        raise ValueError('the mesh is flat, as far as float32 tells')
 
 
-def _planes(vertices: Floats, corners: Integers) -> tuple[Floats, Floats, Floats]:
-    """Unit normals (m, 3) of the triangles, outwards; (m,) their heights over their longest edges;
-    and the middle of the surface.
-    """
-    one, two, three = (vertices.take(row, axis=0) for row in corners.T)
+class Planes(NamedTuple):
+    """Those of the triangles of a closed surface."""
+
+    normals: Floats  # (m, 3) unit normals, outwards
+    doubts: Floats  # (m,) by how much rounding may turn them
+    heights: Floats  # (m,) of the triangles over their longest edges
+    middle: Floats  # (3,) of the surface
+    area: float  # of the surface
+
+
+def _planes(vertices: Floats, corners: Integers) -> Planes:
+    # From the corner across from the longest edge rounding turns a normal least.
+    one, two, three = places_of(vertices, corners)
+    lengths = np.sqrt([_squares(side) for side in (two - one, three - two, one - three)])
+    turn = (np.argmax(lengths, axis=0)[:, None] + np.array([2, 0, 1])) % 3
+    one, two, three = (
+        vertices.take(row, axis=0) for row in np.take_along_axis(corners, turn, axis=1).T
+    )
     normals = np.cross(two - one, three - one)
     area = np.linalg.norm(normals, axis=1)
-    sides = (two - one, three - two, one - three)
-    longest = np.max([np.linalg.norm(side, axis=1) for side in sides], axis=0)
-    heights = area / np.where(longest > 0.0, longest, 1.0)
+    lengths.sort(axis=0)
+    heights = area / np.where(lengths[2] > 0.0, lengths[2], 1.0)
     middle = area @ (one + two + three) / (3.0 * area.sum())
-    normals /= np.where(area > 0.0, area, 1.0)[:, None]
+    some = np.where(area > 0.0, area, 1.0)
+    normals /= some[:, None]
     normals[np.einsum('ni,ni->n', normals, one - middle) < 0] *= -1.0
-    return normals, heights, middle
+    return Planes(
+        normals, TURNED * lengths[0] * lengths[1] / some, heights, middle, area.sum() / 2
+    )
 
 
-def bends_outwards(vertices: Floats, closed: Closed, normals: Floats, heights: Floats) -> bool:
+def bends_outwards(vertices: Floats, closed: Closed, planes: Planes) -> bool:
     """Whether a closed surface is surely convex, without its hull: at each edge both triangles lie
-    below the plane of the other one, the origin lies below all planes, and the surface goes around
-    it once. Then each line from the origin leaves it once, so it does not cross itself; and what
+    below the plane of the other one, the middle lies below all planes, and the surface goes around
+    it once. Then each line from the middle leaves it once, so it does not cross itself; and what
     bends outwards everywhere is convex (Tietze, 1928).
     """
-    rounded = FLAT / heights  # unit normals of thin triangles have fewer digits
     corners, (one, two) = closed.corners.ravel(), closed.meeting.T
     for edge, other in ((one, two), (two, one)):
         here, opposite = edge // 3, other // 3 * 3 + (other + 2) % 3
         away = vertices.take(corners.take(opposite), axis=0)
         away -= vertices.take(corners.take(edge), axis=0)
-        above = np.einsum('ni,ni->n', normals.take(here, axis=0), away)
-        if (above >= -rounded.take(here) * np.linalg.norm(away, axis=1)).any():
+        above = np.einsum('ni,ni->n', planes.normals.take(here, axis=0), away)
+        if (above >= -planes.doubts.take(here) * np.linalg.norm(away, axis=1)).any():
             return False
-    one, two, three = places_of(vertices, closed.corners)
-    if (np.einsum('ni,in->n', normals, one) <= rounded).any():
+    one, two, three = (
+        place - planes.middle[:, None] for place in places_of(vertices, closed.corners)
+    )
+    if (np.einsum('ni,in->n', planes.normals, one) <= 2.0 * planes.doubts).any():
         return False
     # The solid angle under which each triangle is seen (Van Oosterom and Strackee, 1983).
     one, two, three = (place / np.sqrt(_squares(place)) for place in (one, two, three))

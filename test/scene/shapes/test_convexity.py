@@ -62,10 +62,36 @@ def test_what_bends_outwards_everywhere_but_goes_around_more_than_once_is_not_co
     """Two pyramids over a star: they bend inwards at no edge. Over a polygon they are convex."""
     angles = 2.0 * np.pi * step * np.arange(corners) / corners
     rim = np.stack([np.cos(angles), np.sin(angles), 0.0 * angles], 1)
-    tips = (np.broadcast_to((0.0, 0.0, z), rim.shape) for z in (1.0, -1.0))
-    star = np.concatenate([np.stack([rim, np.roll(rim, -1, 0), tip], 1) for tip in tips])
+    star = pyramids(rim, 1.0)
     for form in (star, star * (1.0, 1.0, 1e-3), single(star + 3.0).astype(np.float64)):
         assert Mesh(form).convex == (step == 1)
+
+
+def pyramids(rim, height):
+    """Two pyramids over a rim in the plane, one upside down."""
+    tips = (np.broadcast_to((0.0, 0.0, z), rim.shape) for z in (height, -height))
+    return np.concatenate([np.stack([rim, np.roll(rim, -1, 0), tip], 1) for tip in tips])
+
+
+@pytest.mark.parametrize('notch', [0.5, 0.7, 0.95])
+def test_a_plate_with_a_notch_is_not_convex_however_thin(notch):
+    """Its rim lies beside that of the hull, though hardly within it."""
+    rim = np.array([(notch, 0, 0), (1, 1, 0), (-1, 1, 0), (-1, -1, 0), (1, -1, 0)])
+    for height in (5e-7, 1e-6, 2e-6, 1e-5):
+        assert not Mesh(pyramids(rim, height)).convex
+    away = np.add(pyramids(rim, 5.2e-4), (1000, 0, 0))
+    assert not Mesh(single(away).astype(np.float64)).convex
+    rim[0] = 2.0, 0.0, 0.0
+    assert Mesh(pyramids(rim, 1e-5)).convex
+
+
+@pytest.mark.parametrize('height', [1e-5, 1e-3, 1.0])
+def test_a_flat_pyramid_of_many_sides_is_convex(height):
+    """Its edges bend by less than rounding may turn a normal of a triangle as long."""
+    angles = 2.0 * np.pi * np.arange(5000) / 5000
+    rim = np.stack([np.cos(angles), np.sin(angles), 0.0 * angles], 1)
+    for turn in range(3):
+        assert Mesh(np.roll(pyramids(rim, height), turn, axis=1)).convex
 
 
 @pytest.mark.parametrize('count', [30, 300])
