@@ -44,8 +44,9 @@ def lying(points: Floats, corners: Integers, enough: float) -> Lying:
     first such triangles, and says 0 of those that it did not look at. Else some plane that says so
     little is taken.
     """
-    equations, faces, area = _hull(points)
-    found = Lying(np.full(len(corners), np.inf), np.zeros((len(corners), 3)), area)
+    hull = _hull(points)
+    equations, faces = hull.equations, hull.corners
+    found = Lying(np.full(len(corners), np.inf), np.zeros((len(corners), 3)), hull.area)
     row, face = _shared(corners, faces, len(points))
     found.depths[row], found.normals[row] = 0.0, equations[face, :3]
     rest = np.flatnonzero(found.depths > enough)
@@ -76,22 +77,27 @@ def lying(points: Floats, corners: Integers, enough: float) -> Lying:
     return found
 
 
-def _hull(points: Floats) -> tuple[Floats, Integers, float]:
-    """Planes (f, 4) of the hull of points, outward unit normal n and d, n . x + d <= 0 within it;
-    the triangles (f, 3) of its surface that they go through; and its area.
-    """
+class ConvexHull(NamedTuple):
+    """The hull of points."""
+
+    equations: Floats  # (f, 4) of planes: outward unit normal n and d, n . x + d <= 0 within it
+    corners: Integers  # (f, 3) rows of the points, one row a triangle in such a plane
+    area: float
+
+
+def _hull(points: Floats) -> ConvexHull:
     # Only meshes need this library: it is imported when the first one comes.
-    from scipy.spatial import ConvexHull, QhullError
+    from scipy import spatial
 
     # A flat face of ten thousand corners would take it minutes. So its points are moved, by far
     # less than what is looked for, and the planes outwards by as much.
     by = SHAKEN * float(np.abs(points).max())
     try:
-        hull = ConvexHull(points + np.random.default_rng(1).uniform(-by, by, points.shape))
-    except QhullError:
+        hull = spatial.ConvexHull(points + np.random.default_rng(1).uniform(-by, by, points.shape))
+    except spatial.QhullError:
         raise ValueError('the mesh is flat, as far as float32 tells') from None
     equations = hull.equations - [0.0, 0.0, 0.0, math.sqrt(3.0) * by]
-    return equations, hull.simplices.astype(np.int64), float(hull.area)
+    return ConvexHull(equations, hull.simplices.astype(np.int64), float(hull.area))
 
 
 def _shared(corners: Integers, faces: Integers, count: int) -> tuple[Integers, Integers]:
@@ -217,6 +223,12 @@ class Linked:
         return np.sort(self.corners, axis=1)
 
     @LazyProperty
+    def proper(self) -> Integers:
+        """Rows of those with three different corners."""
+        low, middle, high = self.sets.T
+        return np.flatnonzero((low < middle) & (middle < high))
+
+    @LazyProperty
     def first(self) -> Integers:
         """(m,) the first triangle with the same three corners."""
         return _first_alike(self.sets, int(self.corners.max()) + 1)
@@ -281,8 +293,7 @@ def _joined(points: Floats, linked: Linked) -> Integers:
     """Rows of triangles but for those without an area that join no others: two of their corners
     are one, or they have an edge of their own, perhaps after others have been left out.
     """
-    low, middle, high = linked.sets.T
-    proper = np.flatnonzero((low < middle) & (middle < high))
+    proper = linked.proper
     first = linked.first[proper]
     once = proper[first == proper]
     if not len(once):
@@ -553,10 +564,9 @@ def _closed(rows: Integers, linked: Linked) -> Closed:
     """Those with three different corners, `rows` as given; ValueError if they are not closed. One
     whose corners have become one is an edge: its neighbours meet there without it.
     """
-    low, middle, high = linked.sets.T
-    proper = np.flatnonzero((low < middle) & (middle < high))
+    proper = linked.proper
     surface = linked.part(proper)
-    order, _, count = surface.edges
+    count = surface.edges.times
     if (count != 2).any():
         is_open = len(surface.open_edges) > 0
         bad = int(surface.open_edges[0] if is_open else np.argmax(count != 2))
@@ -568,7 +578,7 @@ def _closed(rows: Integers, linked: Linked) -> Closed:
     used, corners = used_by(surface.corners)
     if 2 * len(used) - len(proper) != 4:  # Euler: one surface without holes
         raise ValueError('the mesh is not the surface of one convex solid')
-    return Closed(used, corners, proper, order.reshape(-1, 2))
+    return Closed(used, corners, proper, surface.edges.order.reshape(-1, 2))
 
 
 def _require_thickness(points: Floats, corners: Integers, noise: float) -> None:
