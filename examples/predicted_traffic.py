@@ -30,7 +30,7 @@ SPEED, HORIZON, FRAME = 1.5, 3.0, 0.1  # m/s, s, s
 ROBOTS, MOMENTS = 400, 60
 NAMES = 'm off', 'missed', 'false alarms', 'us a robot'
 METHODS = 'at rest', 'last step', 'tracked'
-# The colours of a stale and of a predicted world in the pictures of `bvh_report error`, and black.
+# Green and blue of Okabe and Ito, which the colour-blind can tell apart, and black.
 STYLES = ('#009E73', 'o-'), ('#56B4E9', 's--'), ('#000000', '^:')
 
 parser = command_line(__doc__)

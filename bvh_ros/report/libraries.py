@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from .. import DynamicBVH
 from ..tree.access import CORNERS, SIDES
@@ -204,14 +205,7 @@ FCL = _with_manager(
     'pairs go to a callback in Python that only counts them, without a narrow phase',
 )
 
-# ---- cKDTree of scipy: points only
-
-
-def kd_tree(points: Floats) -> Any:
-    """The static k-d tree that most Python users would take for nearest points."""
-    from scipy.spatial import cKDTree
-
-    return cKDTree(points)
+# ---- cKDTree of scipy, which most Python users would take for nearest points
 
 
 SCIPY = Library(
@@ -219,7 +213,7 @@ SCIPY = Library(
     'scipy',
     'points only, one thread',
     prepare=lambda boxes: boxes.centers,
-    build=kd_tree,
+    build=cKDTree,
     size=lambda tree: int(tree.n),
     nearest=lambda tree, points: tree.query(points)[0],
 )

@@ -19,7 +19,8 @@ import numpy as np
 from .. import DynamicBVH
 from ..scene import Mesh, Scene, Shapes
 from .error.meshes import surface_of, watertight
-from .error.truth import brute_force, enter_box, exact
+from .error.truth import brute_force, enter_box, exact, root
+from .error.worlds import corner_rays
 from .page import Page
 from .scenes import Boxes, Floats, Rays, units
 
@@ -58,11 +59,13 @@ def within_2_ulp(t: float, exact: Fraction) -> bool:
     return abs(Fraction(t) - exact) <= Fraction(slack)
 
 
-def agrees(t: float | None, exact: Fraction | None) -> bool:
-    """Whether both are a miss, or the distance is near enough."""
+def agrees(t: float | None, exact: Fraction | None, share: Fraction | None = None) -> bool:
+    """Whether both are a miss, or the distance is within a share of the exact one, or 2 ulp."""
     if t is None or exact is None:
         return t is None and exact is None
-    return within_2_ulp(t, exact)
+    if share is None:
+        return within_2_ulp(t, exact)
+    return abs(Fraction(t) - exact) <= share * exact
 
 
 def marked(text: str, right: bool) -> str:
@@ -88,6 +91,9 @@ class Motion(NamedTuple):
     reference: float = 0.0
 
 
+AT_REST = Motion((0.0, 0.0, 0.0))
+
+
 class Question(NamedTuple):
     """One box and one ray."""
 
@@ -97,7 +103,7 @@ class Question(NamedTuple):
     origin: Vector
     direction: Vector
     t_max: float = math.inf
-    motion: Motion | None = None
+    motion: Motion = AT_REST
 
 
 THIRD, SOON = 1 / 3, math.nextafter(1.5, 0.0)
@@ -158,14 +164,12 @@ def ray_cases() -> list[Case]:
 
 
 def exact_entry(
-    lo: Vector, hi: Vector, origin: Vector, direction: Vector, motion: Motion | None = None
+    lo: Vector, hi: Vector, origin: Vector, direction: Vector, motion: Motion = AT_REST
 ) -> Fraction | None:
     """Where a ray enters a closed box, in rationals."""
-    motion = motion or Motion((0.0,) * len(lo))
     since, pace = Fraction(motion.at) - Fraction(motion.reference), Fraction(motion.pace)
     speed = exact(motion.velocity)
-    start = [o - v * since for o, v in zip(exact(origin), speed, strict=True)]
-    ahead = [d - v * pace for d, v in zip(exact(direction), speed, strict=True)]
+    start, ahead = exact(origin) - speed * since, exact(direction) - speed * pace
     return enter_box(exact(lo), exact(hi), start, ahead)
 
 
@@ -177,7 +181,7 @@ def _cast(question: Question) -> Case:
         entry = None
     tree = DynamicBVH()
     box, when = tree.insert(lo, hi), dict[str, Any]()
-    if motion:
+    if motion is not AT_REST:
         tree.set_velocities([box], [motion.velocity], motion.reference)
         when = {'at': motion.at, 'pace': motion.pace}
     for corner in (lo, hi):  # another box, so that there is a wide snapshot
@@ -192,7 +196,7 @@ def _cast(question: Question) -> Case:
     given = f'box {_text(lo)} to {_text(hi)}; ray {_text(ray[0])} + t {_text(ray[1])}'
     if not math.isinf(t_max):
         given += f', t <= {t_max!r}'
-    if motion:
+    if motion is not AT_REST:
         given += f'; {_text(motion.velocity)} m/s since {motion.reference!r} s, at {motion.at!r} s'
     got = ' or '.join(sorted(map(_hit, answers)))
     expected = _hit(None if entry is None else rounded(entry))
@@ -209,7 +213,7 @@ def _text(vector: Vector) -> str:
 
 def _slab(question: Question, entry: Fraction | None) -> str:
     """What the usual test says, and whether that is right."""
-    motion = question.motion or Motion((0.0,) * 3)
+    motion = question.motion
     speed, since = np.array([motion.velocity], float), motion.at - motion.reference
     boxes = Boxes(*(np.array([side], float) for side in question[1:3])).moved(speed * since)
     directions = np.array([question.direction]) - speed * motion.pace
@@ -224,6 +228,7 @@ def _slab(question: Question, entry: Fraction | None) -> str:
 
 SCALES = (5e-324, 1e-300, 1e-160, 1e-3, 1.0, 1e8, 1e15, 1e150, 1e307)
 BOXES, MANY, RAYS, RAYS_QUICK = 24, 250, 400, 70
+EXTENT = 5  # of boxes: so rays at the largest scale are below the largest double
 
 
 def scale_cases(brief: bool) -> Iterable[Case]:
@@ -233,34 +238,18 @@ def scale_cases(brief: bool) -> Iterable[Case]:
     ends = 5e-324, 1e-308, 1e-150, 1.0, 1e150, 1e307
     scenes['5e-324 to 1.7e308 in one scene'] = 3, [*np.resize(ends, BOXES)]
     for name, (seed, scales) in scenes.items():
-        rng, column = np.random.default_rng(seed), np.array(scales)[:, None]
-        yield _compare(name, *corner_scene(rng, column, RAYS_QUICK if brief else RAYS))
+        many, column = RAYS_QUICK if brief else RAYS, np.array(scales)[:, None]
+        rng = np.random.default_rng(seed)
+        yield _compare(name, *corner_rays(len(scales), many, rng, column, EXTENT))
     yield _at_all_speeds(BOXES if brief else MANY, RAYS_QUICK if brief else 10 * RAYS)
 
 
 def _at_all_speeds(count: int, many: int) -> Case:
     rng = np.random.default_rng(4)
-    boxes, rays = corner_scene(rng, np.ones((count, 1)), many)
+    boxes, rays = corner_rays(count, many, rng, 1.0, EXTENT)
     speeds = rng.integers(-2, 3, (count, 3)) * np.geomspace(1e-9, 1e4, count)[:, None]
     times = rng.choice([0.0, 1.0, -0.5], many), rng.choice([0.0, 1.0, 0.5], many)
     return _compare('1e-9 to 1e4 m/s in one scene', boxes, rays, speeds, times)
-
-
-def corner_scene(rng: np.random.Generator, scales: Floats, count: int) -> tuple[Boxes, Rays]:
-    """Boxes on a lattice of their own scale, some flat, and rays at their corners from lattice
-    points before them.
-    """
-    low = rng.integers(-6, 6, (len(scales), 3))
-    high = low + rng.integers(0, 4, low.shape)
-    lo, hi = low * scales, high * scales
-    rows = rng.integers(0, len(scales), count)
-    corners = np.where(rng.random((count, 3)) < 0.5, low[rows], high[rows])
-    steps = rng.integers(-2, 3, (count, 3))
-    steps[~steps.any(axis=1)] = (1, 1, 2)
-    origins = (corners - steps * rng.integers(1, 4, (count, 1))) * scales[rows]
-    lengths = np.where(rng.random((count, 1)) < 0.5, scales[rows], 1.0)
-    directions = steps.astype(np.float64) * lengths
-    return Boxes(lo, hi), Rays(origins, directions)
 
 
 def _compare(
@@ -346,9 +335,7 @@ def nearest_cases() -> Iterable[Case]:
     tree.insert((0, 0, 0), (1, 1, 1))
     for name, point in POINTS:
         gaps = [max(-Fraction(x), Fraction(0), Fraction(x) - 1) for x in point]
-        square = sum((gap * gap for gap in gaps), Fraction(0))
-        bits = 2600  # below the point, so that the square root of anything is exact to a double
-        exact = Fraction(math.isqrt(int(square * 4**bits)), 2**bits)
+        exact = root(sum((gap * gap for gap in gaps), Fraction(0)))
         distance = float(tree.nearest(point)[1][0])
         right = abs(Fraction(distance) - exact) <= Fraction(4 * math.ulp(rounded(exact)))
         with np.errstate(all='ignore'):
@@ -434,7 +421,7 @@ def mesh_cases() -> Iterable[Case]:
         for count in (1, COPIES):
             hits = scene.raycast_many(np.tile(start, (count, 1)), np.tile(ahead, (count, 1)))
             answers |= {t if t < math.inf else None for t in hits.t.tolist()}
-        right = all(_is_near(t, entry) for t in answers)
+        right = all(agrees(t, entry, NEAR_ENOUGH) for t in answers)
         given = f'cells of {edge:g} m; ray {_text(start)} + t {_text(ahead)}'
         got = ' or '.join(sorted(map(_hit, answers)))
         expected = _hit(None if entry is None else rounded(entry))
@@ -442,12 +429,6 @@ def mesh_cases() -> Iterable[Case]:
         other = None if math.isinf(found) else float(found)
         agreed = (other is None) == (entry is None)
         yield Case(f'a mesh: {name}', given, expected, got, right, marked(_hit(other), agreed))
-
-
-def _is_near(t: float | None, entry: Fraction | None) -> bool:
-    if t is None or entry is None:
-        return t is None and entry is None
-    return abs(Fraction(t) - entry) <= NEAR_ENOUGH * entry
 
 
 # ---- Long and stiff runs: a million moves, speeds thirteen decades apart, teleports

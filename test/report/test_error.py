@@ -20,23 +20,8 @@ from bvh_ros.report.error.methods import (
     front,
     tradeoff,
 )
-from bvh_ros.report.error.traffic import moments_of, observer, tracks, traffic_truths, world_at
-from bvh_ros.report.error.truth import (
-    NOTHING,
-    Answer,
-    Score,
-    boxes_truth,
-    joined,
-    score,
-    shapes_truth,
-)
-from bvh_ros.report.error.worlds import (
-    corner_rays,
-    rays_round,
-    scene_of,
-    scene_rows,
-    shapes_by_scene,
-)
+from bvh_ros.report.error.truth import NOTHING, Answer, Score, boxes_truth, score, shapes_truth
+from bvh_ros.report.error.worlds import corner_rays, rays_round, shapes_by_scene, true_shapes
 from bvh_ros.report.scenes import Boxes, Rays, incoherent_rays, uniform_boxes
 from bvh_ros.scene import Mesh, Scene, ShapeKind, Shapes, unchecked_shapes
 
@@ -120,7 +105,7 @@ def test_score_counts_what_is_wrong():
     assert truth.rows.tolist() == [0, 0, 0, 0, 0, NOTHING]
     one_ulp = math.nextafter(1.0, 2.0)
     answer = Answer(np.array([0, 0, 1, NOTHING, 0, 1]), np.array([1, one_ulp, 3, math.inf, 1, 3]))
-    found = score(answer, truth)
+    found = score([answer], [truth])
     assert (found.wrong_hits, found.wrong_misses, found.wrong_first) == (1, 1, 1)
     assert found.wrong_by == 2.0
     assert found.wrong == 0.5
@@ -133,16 +118,17 @@ def test_objects_entered_at_the_same_distance_are_both_first():
     boxes = Boxes(np.zeros((2, 3)), np.ones((2, 3)))
     truth = boxes_truth(boxes, Rays(np.array([[-1.0, 0.5, 0.5]]), np.array([[1.0, 0, 0]])))
     assert truth.rows.tolist() == [0]
-    assert score(Answer(np.array([1]), np.array([1.0])), truth).wrong == 0
+    answer = Answer(np.array([1]), np.array([1.0]))
+    assert score([answer], [truth]).wrong == 0
 
 
 @pytest.mark.slow
 def test_only_rounded_decisions_are_wrong_where_it_is_close():
     boxes, rays = corner_rays(300, 2000, np.random.default_rng(1))
     truth = boxes_truth(boxes, rays)
-    for name, (run, answers) in box_methods(boxes, rays).items():
+    for name, (run, answer) in box_methods(boxes, rays).items():
         if 'brute force' not in name:
-            found = score(*answers(run()), truth)
+            found = score([answer(run())], [truth])
             assert found.wrong == 0 if name.startswith('bvh_ros') else found.wrong > 0.01
             assert not name.startswith('bvh_ros') or found.ulps <= 2
 
@@ -182,31 +168,6 @@ def test_letters_do_not_overlap_and_an_exact_answer_is_at_zero():
     assert axes.get_ylim()[0] < 0.0
 
 
-@pytest.fixture(scope='module')
-def traffic(shared_data):
-    return tracks(shared_data / 'commonroad_ngsim' / 'USA_US101-4_1_T-1.csv')
-
-
-@pytest.mark.slow
-def test_a_world_that_is_refreshed_at_once_is_right(traffic):
-    assert len(traffic) == 22
-    moments = moments_of(traffic, 0.2, np.random.default_rng(1))
-    truths = traffic_truths(traffic, moments)
-    assert sum((truth.rows != NOTHING).sum() for truth in truths) > 10
-    for rate, right in ((None, True), (1, False)):
-        run, answers = observer(traffic, moments, rate)
-        found = joined([*map(score, answers(run()), truths)])
-        assert (found.wrong == 0) is right
-
-
-def test_vehicles_are_between_their_frames(traffic):
-    world = world_at(traffic, 0.25)
-    for number, place in zip(world.ids.tolist(), world.shapes.position, strict=True):
-        track = traffic[number]
-        around = track.poses[(track.times > 0.15) & (track.times < 0.35), :3]
-        assert np.allclose(place, around.mean(axis=0), atol=1e-9)
-
-
 def test_first_hits_among_recorded_shapes_are_those_of_exact_arithmetic(shared_data):
     """Tables and shelves; distances to rounding over the slope of the surface that is entered."""
     scenes = shapes_by_scene(shared_data / 'manipulation_scenes' / 'scenes.csv')
@@ -215,7 +176,8 @@ def test_first_hits_among_recorded_shapes_are_those_of_exact_arithmetic(shared_d
     for number, shapes in enumerate(scenes.values()):
         some = rays_round(shapes, rays, np.random.default_rng(number))
         truth = shapes_truth(shapes, some)
-        found = score(scene_rows(scene_of(shapes).raycast_many(*some)), truth)
+        method = true_shapes(shapes, some)
+        found = score([method.answer(method.run())], [truth])
         assert (found.wrong_hits, found.wrong_misses) == (0, 0)
         assert found.wrong_by < 1e-14  # flush boards: decided in float64
         assert found.distances.max(initial=0.0) < 1e-11

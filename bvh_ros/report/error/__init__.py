@@ -9,7 +9,7 @@ The methods take turns, each after an untimed run; medians. In the pictures a le
 the front joins what no cheaper method betters by more than a tenth.
 """
 
-from . import meshes, pairs, traffic, worlds
+from . import meshes, pairs, worlds
 
 SECTIONS = {
     'Random boxes': worlds.random_scene,
@@ -18,6 +18,5 @@ SECTIONS = {
     'Random shapes': worlds.random_shapes,
     'Shelves and tables': worlds.shelves,
     'A mesh that is not convex': meshes.mesh_of_cells,
-    'Traffic on US-101: a stale world': traffic.stale_traffic,
     'Pairs of shapes against python-fcl': pairs.against_fcl,
 }

@@ -2,18 +2,17 @@
 # SPDX-License-Identifier: Apache-2.0
 """Rays at one mesh that is not convex: exact, rounded, and with simpler shapes in its place."""
 
-from importlib.util import find_spec
-
 import numpy as np
 from scipy.spatial import ConvexHull
 
 from ... import DynamicBVH
-from ...scene import NO_NODE, CastHits, Mesh, Scene, Shapes
+from ...scene import Mesh, Shapes
 from ..libraries import EMBREE, embree_scene
 from ..page import Page
 from ..scenes import Boxes, Floats, Rays
-from .methods import SLOW_RAYS, WRONG, Method, Panel, compare, tree_rows
+from .methods import SLOW_RAYS, WRONG, Method, Panel, World, batch, compare
 from .truth import NOTHING, Answer, Truth, boxes_truth
+from .worlds import true_shapes
 
 CELL = 0.1  # m
 SHARE = 0.05  # of the cells is filled
@@ -38,7 +37,8 @@ def mesh_of_cells(page: Page, brief: bool) -> None:
     truth = Truth(rows, ts, lambda row, ray: ts[ray], of_boxes.lengths)
     triangles = surface_of(filled) * CELL
     title = f'A mesh of {len(triangles):,} triangles, {many:,} rays'
-    compare(page, 'mesh', title, _methods(triangles, rays), [truth], brief, (WRONG, MEAN))
+    world = World(_methods(triangles, rays), truth)
+    compare(page, 'mesh', title, [world], brief, (WRONG, MEAN))
 
 
 def boxes_of(cells: np.ndarray) -> Boxes:
@@ -75,39 +75,26 @@ def _methods(triangles: Floats, rays: Rays) -> dict[str, Method]:
     hull = ConvexHull(corners)
     box = DynamicBVH.from_boxes(corners.min(axis=0)[None], corners.max(axis=0)[None])
     few = Rays(rays.origins[:SLOW_RAYS], rays.directions[:SLOW_RAYS])
+
+    def of_mesh(mesh: Mesh) -> Method:
+        return true_shapes(Shapes.of_meshes(mesh, np.zeros((1, 3))), rays)
+
     methods = {
-        'bvh_ros, true shapes': _scene(Mesh(triangles), rays),
-        'float64 watertight': Method(lambda: watertight(triangles, few), lambda found: [found]),
-        'convex hull of the mesh': _scene(Mesh(hull.points, hull.simplices), rays),
-        'AABB of each shape': Method(
-            lambda: box.raycast_many(*rays), lambda hits: [tree_rows(box, hits)]
-        ),
+        'bvh_ros, true shapes': of_mesh(Mesh(triangles)),
+        'float64 watertight': Method(lambda: watertight(triangles, few), lambda found: found),
+        'convex hull of the mesh': of_mesh(Mesh(hull.points, hull.simplices)),
+        'AABB of each shape': batch(box, rays),
     }
-    if find_spec('embreex') is not None:
-        methods['Embree 4, float32'] = _embree(triangles, rays)
+    if EMBREE.installed():
+        faces = np.arange(len(corners), dtype=np.int32).reshape(-1, 3)
+        scene, given = embree_scene((corners.astype(np.float32), faces)), EMBREE.rays(rays)
+
+        def answer(found: np.ndarray) -> Answer:
+            ts = scene.run(*given, query='DISTANCE').astype(np.float64)
+            return Answer(np.where(found < 0, NOTHING, 0), np.where(found < 0, np.inf, ts))
+
+        methods['Embree 4, float32'] = Method(lambda: scene.run(*given), answer)
     return methods
-
-
-def _scene(mesh: Mesh, rays: Rays) -> Method:
-    scene = Scene()
-    scene.update('report', ['mesh'], Shapes.of_meshes([mesh], [[0.0, 0.0, 0.0]]), stamp=0)
-
-    def answers(hits: CastHits) -> list[Answer]:
-        return [Answer(np.where(hits.handles == NO_NODE, NOTHING, 0), hits.t)]
-
-    return Method(lambda: scene.raycast_many(*rays), answers)
-
-
-def _embree(triangles: Floats, rays: Rays) -> Method:
-    vertices = np.ascontiguousarray(triangles.reshape(-1, 3), np.float32)
-    scene = embree_scene((vertices, np.arange(len(vertices), dtype=np.int32).reshape(-1, 3)))
-    given = EMBREE.rays(rays)
-
-    def answers(found: np.ndarray) -> list[Answer]:
-        ts = scene.run(*given, query='DISTANCE').astype(np.float64)
-        return [Answer(np.where(found < 0, NOTHING, 0), np.where(found < 0, np.inf, ts))]
-
-    return Method(lambda: scene.run(*given), answers)
 
 
 def watertight(triangles: Floats, rays: Rays) -> Answer:

@@ -4,7 +4,8 @@
 decisions or in float32, and brute force."""
 
 from collections.abc import Callable, Mapping, Sequence
-from functools import cache
+from contextlib import nullcontext
+from functools import cache, partial
 from string import ascii_lowercase, ascii_uppercase
 from typing import Any, NamedTuple
 from unittest.mock import patch
@@ -17,10 +18,10 @@ from ...tree.batch import streams
 from ...tree.compiler.compiling import inlined, rewired
 from ...tree.nodes import View
 from ...tree.query import ray, ray_queries, slab
-from ..page import BLACK, BLUE, GREEN, GREY, ORANGE, PINK, PURPLE, RED, SKY, Page
+from ..page import BLACK, BLUE, GREY, ORANGE, PINK, PURPLE, RED, Page
 from ..scenes import Boxes, Rays
 from ..timing import Job, interleaved
-from .truth import HEADER, NOTHING, Answer, Score, Truth, brute_force, cells, joined, score
+from .truth import HEADER, NOTHING, Answer, Score, Truth, brute_force, cells, score
 
 # ---- The tree's own kernels with the exact decision taken out, and with float32 for float64
 
@@ -69,19 +70,6 @@ def wide_kernel() -> Any:
     return rewired(streams.cast_rows, cast_pile=pile)
 
 
-def replaced(**kernels: Any) -> Any:
-    """A context in which batches of rays go through other kernels, all of them large ones."""
-    values: dict[str, Any] = {'FEW_RAYS': 0}
-    for name, kernel in kernels.items():
-        values[name] = lambda ndim, kernel=kernel: kernel
-    return patch.multiple(ray_queries, **values)
-
-
-def rounded_decisions() -> Any:
-    """A context in which batches of rays are decided by rounded arithmetic."""
-    return replaced(rows_entry=binary_kernel(), cast_entry=wide_kernel())
-
-
 class BinaryTree(OpenTree):
     """A tree whose batches go through the binary tree, too: no wide snapshot."""
 
@@ -89,23 +77,17 @@ class BinaryTree(OpenTree):
         return None
 
 
-def single_precision(boxes: Boxes, rays: Rays) -> Callable[[], RayHits]:
-    """A batch through the binary tree whose boxes and rays are rounded to float32."""
-    tree = BinaryTree.from_boxes(*boxes)
-    arrays = tree.view().tree
+def single_precision(tree: OpenTree) -> Callable[..., Any]:
+    """The same of boxes and rays that are rounded to float32."""
+    arrays, kernel = tree.view().tree, binary_kernel()
     rounded = arrays._replace(nodes=_rounded(arrays.nodes), tight=_rounded(arrays.tight))
-    kernel = binary_kernel()
 
     def rows(_: Any, version: int, batch: Any, hits: RayHits) -> Any:
         origins, directions, t_max = (part.astype(np.float32) for part in batch[:3])
         batch = batch._replace(origins=origins, directions=directions, t_max=t_max)
         return kernel(rounded, version, batch, hits)
 
-    def run() -> RayHits:
-        with replaced(rows_entry=rows):
-            return tree.raycast_many(*rays)
-
-    return run
+    return rows
 
 
 def _rounded(records: Any) -> Any:
@@ -118,7 +100,6 @@ def _rounded(records: Any) -> Any:
         return records.astype(fields)
 
 
-RATES = (1, 2, 5, 10, 20)  # Hz at which a moving world is refreshed
 # One colour and one letter a method in all pictures; methods of one kind share the colour.
 COLOURS = {
     'bvh_ros, batch': BLUE,
@@ -132,9 +113,6 @@ COLOURS = {
     'AABB of each shape': ORANGE,
     'sphere as its box': ORANGE,
     'cylinder as its box': ORANGE,
-    'true world at every query': BLUE,
-    **{f'{rate} Hz': GREEN for rate in RATES},
-    **{f'{rate} Hz, predicted': SKY for rate in RATES},
     'sweep between two poses': BLUE,
     'poses on the way': PURPLE,
     'float64 watertight': RED,
@@ -145,11 +123,10 @@ LETTERS = dict(zip(COLOURS, ascii_uppercase + ascii_lowercase, strict=False))
 
 
 class Method(NamedTuple):
-    """One method of answering the rays of some worlds."""
+    """One method of answering the rays of a world."""
 
     run: Callable[[], Any]  # what is timed
-    # The answer in each world, from what `run` returned.
-    answers: Callable[[Any], Sequence[Answer]]
+    answer: Callable[[Any], Answer]  # of what `run` returned
 
 
 # ---- Rays among axis-aligned boxes
@@ -159,50 +136,47 @@ REPEATS = 9
 SLOW_RAYS = 200  # the first ones, for a method that takes milliseconds each
 
 
-def tree_rows(tree: DynamicBVH, hits: RayHits) -> Answer:
+def tree_rows(tree: DynamicBVH, ids: Any, ts: Any) -> Answer:
     """Rows of a tree that was built at once: its handles are in their order."""
-    return Answer(np.where(hits.ids >= 0, np.searchsorted(tree.ids(), hits.ids), NOTHING), hits.t)
+    return Answer(np.where(ids >= 0, np.searchsorted(tree.ids(), ids), NOTHING), ts)
 
 
-def batch(tree: DynamicBVH, rays: Rays) -> Method:
-    """First hits in one batch."""
-    return Method(lambda: tree.raycast_many(*rays), lambda hits: [tree_rows(tree, hits)])
-
-
-def rounded_batch(tree: DynamicBVH, rays: Rays) -> Method:
-    """The same by the same kernels without the exact decision."""
+def batch(tree: DynamicBVH, rays: Rays, **kernels: Callable[..., Any]) -> Method:
+    """First hits in one batch; through other kernels, if there are some, as one of many rays."""
+    entries: dict[str, Any] = {'FEW_RAYS': 0} if kernels else {}
+    for name, kernel in kernels.items():
+        entries[name] = lambda ndim, kernel=kernel: kernel
 
     def run() -> RayHits:
-        with rounded_decisions():
+        with patch.multiple(ray_queries, **entries) if entries else nullcontext():
             return tree.raycast_many(*rays)
 
-    return Method(run, lambda hits: [tree_rows(tree, hits)])
+    return Method(run, lambda hits: tree_rows(tree, hits.ids, hits.t))
 
 
 def one_by_one(tree: DynamicBVH, rays: Rays) -> Method:
     """First hits by a call each."""
 
-    def answers(hits: list[Any]) -> list[Answer]:
-        ids = tree.ids()  # in the order of the rows
-        rows = [np.searchsorted(ids, hit.id) if hit else NOTHING for hit in hits]
-        return [Answer(np.array(rows), np.array([hit.t if hit else np.inf for hit in hits]))]
+    def answer(hits: list[Any]) -> Answer:
+        ids = np.array([hit.id if hit else NOTHING for hit in hits])
+        return tree_rows(tree, ids, np.array([hit.t if hit else np.inf for hit in hits]))
 
-    return Method(lambda: [tree.raycast(*ray) for ray in zip(*rays, strict=True)], answers)
+    return Method(lambda: [tree.raycast(*ray) for ray in zip(*rays, strict=True)], answer)
 
 
 def box_methods(boxes: Boxes, rays: Rays) -> dict[str, Method]:
     """Methods of casting rays at axis-aligned boxes."""
     tree, binary = DynamicBVH.from_boxes(*boxes), BinaryTree.from_boxes(*boxes)
     few = Rays(rays.origins[:SLOW_RAYS], rays.directions[:SLOW_RAYS])
-    single = single_precision(boxes, rays)
+    plain = {'rows_entry': binary_kernel(), 'cast_entry': wide_kernel()}
     return {
         'bvh_ros, batch': batch(tree, rays),
         'bvh_ros, one call a ray': one_by_one(tree, rays),
         'bvh_ros, binary tree': batch(binary, rays),
-        'batch, plain float64 leaves': rounded_batch(tree, rays),
-        'binary tree, plain float64 leaves': rounded_batch(binary, rays),
-        'binary tree, float32': Method(single, lambda hits: [tree_rows(tree, hits)]),
-        'brute force, float64': Method(lambda: brute_force(boxes, few), lambda answer: [answer]),
+        'batch, plain float64 leaves': batch(tree, rays, **plain),
+        'binary tree, plain float64 leaves': batch(binary, rays, **plain),
+        'binary tree, float32': batch(binary, rays, rows_entry=single_precision(binary)),
+        'brute force, float64': Method(lambda: brute_force(boxes, few), lambda answer: answer),
     }
 
 
@@ -228,27 +202,39 @@ RELATIVE = Panel(
 MEAN = Panel('mean error of the distance, m', lambda s: s.mean, 1e-6, 10.0)
 
 
+class World(NamedTuple):
+    """Methods of answering the rays of one world, and what is right."""
+
+    methods: Mapping[str, Method]
+    truth: Truth
+
+
 def compare(
     page: Page,
     name: str,
     title: str,
-    methods: Mapping[str, Method],
-    truths: Sequence[Truth],
+    worlds: Sequence[World],
     brief: bool,
     panels: Sequence[Panel] = (WRONG, RELATIVE),
 ) -> None:
-    """Score every method against the truth of each world, let them take turns, show both."""
-    scores = {}
-    for method, (run, answers) in methods.items():
-        scores[method] = joined([*map(score, answers(run()), truths)])
-    jobs = {method: Job(methods[method].run, scores[method].rays) for method in methods}
+    """Score every method in all worlds, let the methods take turns, show both."""
+    scores, jobs = {}, {}
+    for method in worlds[0].methods:
+        each = [world.methods[method] for world in worlds]
+        answers = [one.answer(run) for one, run in zip(each, _run_all(each), strict=True)]
+        scores[method] = score(answers, [world.truth for world in worlds])
+        jobs[method] = Job(partial(_run_all, each), scores[method].rays)
     times = interleaved(jobs, 2 if brief else REPEATS)
-    points = [Point(method, times[method].microseconds, scores[method]) for method in methods]
+    points = [Point(method, times[method].microseconds, scores[method]) for method in scores]
     header = ['', 'method', 'us a ray', 'rays', *HEADER]
     rows = [[LETTERS[p.name], p.name, p.time, p.score.rays, *cells(p.score)] for p in points]
     page.table(f'error_{name}', header, rows)
     figure = tradeoff(points, panels, title)
     page.picture(f'error_{name}', f'Error against run time: {title}', figure)
+
+
+def _run_all(methods: Sequence[Method]) -> list[Any]:
+    return [method.run() for method in methods]
 
 
 # ---- The picture: error against run time, and the front that no method beats in both

@@ -2,8 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Contacts of all kinds of shapes against python-fcl: pairs whose distance is known."""
 
-from importlib.util import find_spec
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,7 +10,7 @@ from numpy.typing import NDArray
 from ...scene import ShapeKind, Shapes
 from ...scene.distance.narrow_phase import gap_convex, near_pairs
 from ...scene.shapes.shape import as_shapes, canonicalise, rotations, unit_quaternions
-from ..libraries import collision_objects
+from ..libraries import FCL, collision_objects
 from ..page import Cell, Page
 from ..scenes import Floats, units
 
@@ -87,7 +86,7 @@ def against_fcl(page: Page, brief: bool) -> None:
     that the gap is known; a negative gap is a depth. Touching is what `collide` of python-fcl
     says. It iterates for all but a few kinds of pairs and ends at about 1e-6 m.
     """
-    if find_spec('fcl') is None:
+    if not FCL.installed():
         page.add('Left out: python-fcl is not installed.')
         return
     rng = np.random.default_rng(31)
@@ -116,26 +115,19 @@ def fcl_answers(shapes: Shapes) -> Answers:
     """What python-fcl says of them."""
     import fcl
 
-    objects = fcl_objects(shapes)
-    pairs = list(zip(objects[::2], objects[1::2], strict=True))
-    touching = np.array([fcl.collide(*pair) > 0 for pair in pairs])
-    distances = np.array([max(fcl.distance(*pair), 0.0) for pair in pairs])
-    return Answers(touching, distances)
-
-
-def fcl_objects(shapes: Shapes) -> list[Any]:
-    """The shapes as python-fcl has them."""
-    import fcl
-
     forms = {
         ShapeKind.BOX: lambda x, y, z: fcl.Box(x, y, z),
         ShapeKind.SPHERE: lambda x, y, z: fcl.Sphere(x / 2),
         ShapeKind.CYLINDER: lambda x, y, z: fcl.Cylinder(x / 2, z),
         ShapeKind.CAPSULE: lambda x, y, z: fcl.Capsule(x / 2, z - x),
     }
-    matrices = rotations(unit_quaternions(shapes.orientation))
     made = [
         forms[ShapeKind(kind)](*size)
         for kind, size in zip(shapes.kind, shapes.size.tolist(), strict=True)
     ]
-    return collision_objects('fcl', made, matrices, shapes.position)
+    turns = rotations(unit_quaternions(shapes.orientation))
+    objects = collision_objects('fcl', made, turns, shapes.position)
+    pairs = list(zip(objects[::2], objects[1::2], strict=True))
+    touching = np.array([fcl.collide(*pair) > 0 for pair in pairs])
+    distances = np.array([max(fcl.distance(*pair), 0.0) for pair in pairs])
+    return Answers(touching, distances)

@@ -17,13 +17,13 @@ from ..scenes import Boxes, Floats, Rays
 # ---- Where rays enter boxes, spheres and cylinders, in rationals, without the tree
 
 
-Vector = Sequence[Fraction]
+Vector = NDArray[np.object_]  # of rationals
 ROOT_BITS = 256
 
 
-def exact(values: Iterable[float]) -> list[Fraction]:
+def exact(values: Iterable[float]) -> Vector:
     """The values as rationals."""
-    return [Fraction(value) for value in values]
+    return np.array([Fraction(value) for value in values])
 
 
 class Interval(NamedTuple):
@@ -44,19 +44,21 @@ def slab(low: Fraction, high: Fraction, origin: Fraction, direction: Fraction) -
     return Interval(*ends) if direction > 0 else Interval(*ends[::-1])
 
 
+def root(square: Fraction) -> Fraction:
+    """The square root, cut off after so many bits that it is that of a double."""
+    shifted = square.numerator * square.denominator << 2 * ROOT_BITS
+    return Fraction(math.isqrt(shifted), square.denominator << ROOT_BITS)
+
+
 def disc(start: Vector, direction: Vector, radius: Fraction) -> Interval | None:
     """Where a point is within a radius of the origin."""
-    a = sum(d * d for d in direction)
-    b = sum(o * d for o, d in zip(start, direction, strict=True))
-    c = sum(o * o for o in start) - radius * radius
+    a, b, c = direction @ direction, start @ direction, start @ start - radius * radius
     if not a:
         return EVERYWHERE if c <= 0 else None
-    under = Fraction(b * b - a * c)
+    under = b * b - a * c
     if under < 0:
         return None
-    square = under.numerator * under.denominator << 2 * ROOT_BITS
-    root = Fraction(math.isqrt(square), under.denominator << ROOT_BITS)
-    return Interval((-b - root) / a, (-b + root) / a)
+    return Interval((-b - root(under)) / a, (-b + root(under)) / a)
 
 
 def enter(intervals: Iterable[Interval | None]) -> Fraction | None:
@@ -80,13 +82,11 @@ class Solid(NamedTuple):
     kind: int
     centre: Vector
     half: Vector
-    axes: Sequence[Vector] | None  # its own, as rows; None if it is not turned
+    axes: Vector  # its own, as rows
 
     def entry(self, origin: Vector, direction: Vector) -> Fraction | None:
         """Where a ray enters."""
-        start = [o - c for o, c in zip(origin, self.centre, strict=True)]
-        if self.axes is not None:
-            start, direction = _times(self.axes, start), _times(self.axes, direction)
+        start, direction = self.axes @ (origin - self.centre), self.axes @ direction
         if self.kind == ShapeKind.SPHERE:
             return enter([disc(start, direction, self.half[0])])
         slabs = [slab(-h, h, *ray) for h, *ray in zip(self.half, start, direction, strict=True)]
@@ -95,22 +95,18 @@ class Solid(NamedTuple):
         return enter(slabs)
 
 
-def _times(rows: Sequence[Vector], vector: Vector) -> list[Fraction]:
-    return [Fraction(sum(m * x for m, x in zip(row, vector, strict=True))) for row in rows]
-
-
-def _axes(quaternion: Sequence[float]) -> list[Vector] | None:
+def _axes(quaternion: Sequence[float]) -> Vector:
     """Rows that turn the world into the frame of a shape; not of unit length is no matter."""
     x, y, z, w = exact(quaternion)
     length = x * x + y * y + z * z + w * w
-    if not length or not (x or y or z):
-        return None
+    if not length:
+        return np.eye(3, dtype=np.object_)
     rows = (
         (x * x - y * y - z * z + w * w, 2 * (x * y + z * w), 2 * (x * z - y * w)),
         (2 * (x * y - z * w), y * y - x * x - z * z + w * w, 2 * (y * z + x * w)),
         (2 * (x * z + y * w), 2 * (y * z - x * w), z * z - x * x - y * y + w * w),
     )
-    return [[x / length for x in row] for row in rows]
+    return np.array(rows) / length
 
 
 # ---- The first hit of each ray, by brute force and without rounding
@@ -148,7 +144,7 @@ def shapes_truth(shapes: Shapes, rays: Rays) -> Truth:
     """Truth of turned boxes, spheres and cylinders: the shapes of the quaternions as given."""
     columns = (shapes.kind, shapes.position, shapes.size, shapes.orientation)
     solids = [
-        Solid(kind, exact(centre), [x / 2 for x in exact(size)], _axes(turn))
+        Solid(kind, exact(centre), exact(size) / 2, _axes(turn))
         for kind, centre, size, turn in zip(*(column.tolist() for column in columns), strict=True)
     ]
 
@@ -257,42 +253,29 @@ def cells(score: Score) -> list[Cell]:
     return [*counts, 100 * score.wrong, score.mean, far, largest, score.relative, score.ulps]
 
 
-def score(answer: Answer, truth: Truth) -> Score:
-    """Compare. Of objects entered at exactly the same distance any may be called the first."""
-    hits = misses = firsts = 0
+def score(answers: Sequence[Answer], truths: Sequence[Truth]) -> Score:
+    """Compare in all worlds. Of objects entered at the same distance any may be the first."""
+    rays = hits = misses = firsts = 0
     distances: list[float] = []
     relative = ulps = by = 0.0
-    pairs = zip(answer.rows.tolist(), answer.ts.tolist(), strict=True)
-    for ray, (row, t) in enumerate(pairs):
-        exact_t = truth.ts[ray]
-        if exact_t is None or row == NOTHING:
-            hits += exact_t is None and row != NOTHING
-            misses += exact_t is not None and row == NOTHING
-            continue
-        error, length = abs(Fraction(t) - exact_t), float(truth.lengths[ray])
-        distances.append(float(error) * length)
-        entry = exact_t if row == truth.rows[ray] else truth.entry(row, ray)
-        if entry != exact_t:
-            firsts += 1
-            by = max(by, math.inf if entry is None else float(entry - exact_t) * length)
-        elif error and not exact_t:
-            relative = ulps = math.inf
-        elif error:
-            relative = max(relative, float(error / exact_t))
-            ulps = max(ulps, float(error / Fraction(math.ulp(float(exact_t)))))
-    count = len(answer.rows)
-    return Score(count, hits, misses, firsts, by, np.array(distances), relative, ulps)
-
-
-def joined(scores: Sequence[Score]) -> Score:
-    """The score of several worlds together."""
-    return Score(
-        sum(one.rays for one in scores),
-        sum(one.wrong_hits for one in scores),
-        sum(one.wrong_misses for one in scores),
-        sum(one.wrong_first for one in scores),
-        max(one.wrong_by for one in scores),
-        np.concatenate([one.distances for one in scores]),
-        max(one.relative for one in scores),
-        max(one.ulps for one in scores),
-    )
+    for answer, truth in zip(answers, truths, strict=True):
+        rays += len(answer.rows)
+        pairs = zip(answer.rows.tolist(), answer.ts.tolist(), strict=True)
+        for ray, (row, t) in enumerate(pairs):
+            exact_t = truth.ts[ray]
+            if exact_t is None or row == NOTHING:
+                hits += exact_t is None and row != NOTHING
+                misses += exact_t is not None and row == NOTHING
+                continue
+            error, length = abs(Fraction(t) - exact_t), float(truth.lengths[ray])
+            distances.append(float(error) * length)
+            entry = exact_t if row == truth.rows[ray] else truth.entry(row, ray)
+            if entry != exact_t:
+                firsts += 1
+                by = max(by, math.inf if entry is None else float(entry - exact_t) * length)
+            elif error and not exact_t:
+                relative = ulps = math.inf
+            elif error:
+                relative = max(relative, float(error / exact_t))
+                ulps = max(ulps, float(error / Fraction(math.ulp(float(exact_t)))))
+    return Score(rays, hits, misses, firsts, by, np.array(distances), relative, ulps)

@@ -4,7 +4,7 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -15,7 +15,7 @@ from ...scene import NO_NODE, CastHits, Numbered, Scene, ShapeKind, Shapes
 from ...scene.shapes.shape import as_shapes, canonicalise
 from ..page import Page
 from ..scenes import EDGE, Boxes, Floats, Rays, incoherent_rays, spread, uniform_boxes, units
-from .methods import MEAN, WRONG, Method, box_methods, compare, tree_rows
+from .methods import MEAN, WRONG, Method, World, batch, box_methods, compare
 from .truth import NOTHING, Answer, boxes_truth, shapes_truth
 
 # ---- Recordings from CSV files: a building, a laser scan and shelves
@@ -75,23 +75,31 @@ def adversarial_scene(page: Page, brief: bool) -> None:
     _compare_boxes(page, brief, 'adversarial', 'Corner, edge and face rays', boxes, rays)
 
 
-def corner_rays(count: int, many: int, rng: np.random.Generator) -> tuple[Boxes, Rays]:
-    """Boxes and rays of lattice points; the directions are not normalised."""
-    low = rng.integers(-40, 40, (count, 3))
+def corner_rays(
+    count: int, many: int, rng: np.random.Generator, scales: Floats | float = 0.1, extent: int = 40
+) -> tuple[Boxes, Rays]:
+    """Boxes, some flat, and rays of lattice points; the directions are not normalised.
+
+    `scales`: of the lattice, m; shape (count, 1): each box and its rays have a lattice of their
+    own. `extent`: of the boxes, in lattice steps from the middle.
+    """
+    scales = np.broadcast_to(scales, (count, 1))
+    low = rng.integers(-extent, extent, (count, 3))
     high = low + rng.integers(0, 4, (count, 3))
-    lo, hi = low.astype(np.float64) * 0.1, high.astype(np.float64) * 0.1
     rows = rng.integers(0, count, many)
     targets = np.where(rng.random((many, 3)) < 0.5, low[rows], high[rows])
     steps = rng.integers(-3, 4, (many, 3))
     steps[~steps.any(axis=1)] = (1, 2, 3)
     # Half of the rays from any lattice point, half along a simple direction.
-    anywhere = np.where(rng.random((many, 3)) < 0.15, targets, rng.integers(-80, 80, (many, 3)))
-    before = targets - steps * rng.integers(1, 30, (many, 1))
+    from_target = rng.random((many, 3)) < 0.15
+    places = rng.integers(-2 * extent, 2 * extent, (many, 3))
+    anywhere = np.where(from_target, targets, places)
+    before = targets - steps * rng.integers(1, 3 * extent // 4, (many, 1))
     simple = rng.random((many, 1)) < 0.5
-    origins = np.where(simple, before, anywhere) * 0.1
-    directions = np.where(simple, steps.astype(float), targets * 0.1 - origins)
+    origins = np.where(simple, before, anywhere) * scales[rows]
+    directions = np.where(simple, steps.astype(float), targets * scales[rows] - origins)
     directions[~directions.any(axis=1)] = (0.1, 0.2, 0.3)
-    return Boxes(lo, hi), Rays(origins, directions)
+    return Boxes(low * scales, high * scales), Rays(origins, directions)
 
 
 def building_scene(page: Page, brief: bool) -> None:
@@ -115,18 +123,11 @@ def _compare_boxes(
     page: Page, brief: bool, name: str, title: str, boxes: Boxes, rays: Rays
 ) -> None:
     title = f'{title}: {len(boxes.lo):,} boxes, {len(rays.origins):,} rays'
-    truth = boxes_truth(boxes, rays)
-    compare(page, name, title, box_methods(boxes, rays), [truth], brief)
+    world = World(box_methods(boxes, rays), boxes_truth(boxes, rays))
+    compare(page, name, title, [world], brief)
 
 
 # ---- Turned boxes, spheres and cylinders; the error of simpler shapes in their place
-
-
-class ShapeWorld(NamedTuple):
-    """Shapes, and rays through them."""
-
-    shapes: Shapes
-    rays: Rays
 
 
 def random_shapes(page: Page, brief: bool) -> None:
@@ -135,7 +136,7 @@ def random_shapes(page: Page, brief: bool) -> None:
     """
     rng = np.random.default_rng(4)
     count, many = (100, 200) if brief else (3_000, 5_000)
-    world = ShapeWorld(some_shapes(count, rng), incoherent_rays(many, rng))
+    world = some_shapes(count, rng), incoherent_rays(many, rng)
     title = f'Random shapes: {count:,} shapes, {many:,} rays'
     _compare_shapes(page, brief, 'shapes', title, [world])
 
@@ -159,7 +160,7 @@ def shelves(page: Page, brief: bool) -> None:
         return
     rng, many = np.random.default_rng(5), 20 if brief else 500
     scenes = shapes_by_scene(path).values()
-    worlds = [ShapeWorld(shapes, rays_round(shapes, many, rng)) for shapes in scenes]
+    worlds = [(shapes, rays_round(shapes, many, rng)) for shapes in scenes]
     title = f'Shelves and tables: {len(worlds)} scenes, {many * len(worlds):,} rays'
     _compare_shapes(page, brief, 'shelves', title, worlds)
 
@@ -179,54 +180,41 @@ def bounds_of(shapes: Shapes) -> Boxes:
     return Boxes(form.lo, form.hi)
 
 
-def scene_of(shapes: Shapes) -> Scene:
-    """A scene of these shapes; the node handles are the rows, and one more."""
+def true_shapes(shapes: Shapes, rays: Rays) -> Method:
+    """First hits in a scene of these shapes: the node handles are the rows, and one more."""
     scene = Scene()
     refused = scene.update('report', Numbered('', np.arange(len(shapes.kind))), shapes, stamp=0)
     if refused:
         raise ValueError(f'a shape was refused: {refused[0]}')
-    return scene
+
+    def answer(hits: CastHits) -> Answer:
+        rows = np.where(hits.handles == NO_NODE, NOTHING, hits.handles.astype(np.int64) - 1)
+        return Answer(rows, hits.t)
+
+    return Method(lambda: scene.raycast_many(*rays), answer)
 
 
-def scene_rows(hits: CastHits) -> Answer:
-    """Rows of a scene of `scene_of`."""
-    rows = np.where(hits.handles == NO_NODE, NOTHING, hits.handles.astype(np.int64) - 1)
-    return Answer(rows, hits.t)
-
-
-def _true_shapes(worlds: Sequence[ShapeWorld]) -> Method:
-    scenes = [(scene_of(world.shapes), world.rays) for world in worlds]
-    return Method(
-        lambda: [scene.raycast_many(*rays) for scene, rays in scenes],
-        lambda found: [scene_rows(hits) for hits in found],
-    )
-
-
-def _boxed(worlds: Sequence[ShapeWorld], kind: ShapeKind) -> Method:
-    """The same with a box in the place of every shape of a kind."""
-    changed = []
-    for shapes, rays in worlds:
-        kinds = np.where(shapes.kind == kind, ShapeKind.BOX, shapes.kind).astype(np.uint8)
-        changed.append(ShapeWorld(shapes._replace(kind=kinds), rays))
-    return _true_shapes(changed)
-
-
-def _aabbs(worlds: Sequence[ShapeWorld]) -> Method:
-    trees = [(DynamicBVH.from_boxes(*bounds_of(shapes)), rays) for shapes, rays in worlds]
-    return Method(
-        lambda: [tree.raycast_many(*rays) for tree, rays in trees],
-        lambda found: [
-            tree_rows(*pair) for pair in zip((t for t, _ in trees), found, strict=True)
-        ],
-    )
+def _boxed(shapes: Shapes, kind: ShapeKind) -> Shapes:
+    """A box in the place of every shape of a kind."""
+    kinds = np.where(shapes.kind == kind, ShapeKind.BOX, shapes.kind).astype(np.uint8)
+    return shapes._replace(kind=kinds)
 
 
 def _compare_shapes(
-    page: Page, brief: bool, name: str, title: str, worlds: Sequence[ShapeWorld]
+    page: Page, brief: bool, name: str, title: str, several: Sequence[tuple[Shapes, Rays]]
 ) -> None:
-    methods = {'bvh_ros, true shapes': _true_shapes(worlds), 'AABB of each shape': _aabbs(worlds)}
-    for kind in (ShapeKind.SPHERE, ShapeKind.CYLINDER):
-        if any((world.shapes.kind == kind).any() for world in worlds):
-            methods[f'{kind.name.lower()} as its box'] = _boxed(worlds, kind)
-    truths = [shapes_truth(*world) for world in worlds]
-    compare(page, name, title, methods, truths, brief, (WRONG, MEAN))
+    kinds = {kind for shapes, _ in several for kind in shapes.kind.tolist()}
+    worlds = []
+    for shapes, rays in several:
+        tree = DynamicBVH.from_boxes(*bounds_of(shapes))
+        methods = {
+            'bvh_ros, true shapes': true_shapes(shapes, rays),
+            'AABB of each shape': batch(tree, rays),
+        }
+        for kind in (ShapeKind.SPHERE, ShapeKind.CYLINDER):
+            if kind in kinds:
+                methods[f'{kind.name.lower()} as its box'] = true_shapes(
+                    _boxed(shapes, kind), rays
+                )
+        worlds.append(World(methods, shapes_truth(shapes, rays)))
+    compare(page, name, title, worlds, brief, (WRONG, MEAN))
