@@ -5,27 +5,17 @@
 import argparse
 import inspect
 import sys
-from collections.abc import Callable, Sequence
-from functools import partial
+from collections.abc import Sequence
 from importlib.util import find_spec
 from pathlib import Path
-from types import ModuleType
 
 from . import error, features, peers, planner, speed, stability
 from .page import Page
 
 # A part is a module with SECTIONS: by heading, functions of the page and of whether the report is
 # to be brief, which return how many cases failed, or None. Docstrings are the text on the page.
-PARTS: dict[str, ModuleType] = {
-    'error': error,
-    'features': features,
-    'peers': peers,
-    'planner': planner,
-    'speed': speed,
-    'stability': stability,
-}
-
-
+MODULES = error, features, peers, planner, speed, stability
+PARTS = {module.__name__.rpartition('.')[2]: module for module in MODULES}
 QUICK = '\n\n*Quick form: scenes are smaller, and repeats fewer, than the texts say.*'
 
 
@@ -34,37 +24,27 @@ def main(arguments: Sequence[str] | None = None) -> None:
     options = _options(arguments)
     if not all(map(find_spec, ('matplotlib', 'tqdm'))):
         sys.exit("bvh_report needs matplotlib and tqdm: pip install 'bvh_ros[report]'")
-    page, failed = Page(options.out, options.data), 0
-    steps = _steps(page, options)
     from tqdm import tqdm
 
-    with tqdm(steps.items(), disable=None, dynamic_ncols=True, leave=False) as bar:
-        for name, run in bar:  # a log gets no bar
-            bar.set_description(name)
-            failed += run() or 0
+    page, begun, failed = Page(options.out, options.data), '', 0
+    sections = [
+        (name, heading, run)
+        for name in (PARTS if 'all' in options.part else dict.fromkeys(options.part))
+        for heading, run in PARTS[name].SECTIONS.items()
+    ]
+    with tqdm(sections, disable=None, dynamic_ncols=True, leave=False) as bar:
+        for name, heading, run in bar:  # a log gets no bar
+            bar.set_description(f'{name}: {heading}')
+            if name != begun:
+                begun, text = name, inspect.getdoc(PARTS[name]) or ''
+                page.begin(name.title(), text + QUICK * options.quick)
+            page.add(f'### {heading}')
+            if inspect.isfunction(run):
+                page.add(inspect.getdoc(run) or '')
+            failed += run(page, options.quick) or 0
     print(f'written: {page.write()}')
     if failed:
         sys.exit(f'{failed} cases failed')
-
-
-def _steps(page: Page, options: argparse.Namespace) -> dict[str, Callable[[], int | None]]:
-    steps: dict[str, Callable[[], int | None]] = {}
-    for name in PARTS if 'all' in options.part else options.part:
-        module = PARTS[name]
-        text = (inspect.getdoc(module) or '') + QUICK * options.quick
-        steps[name] = partial(page.begin, name.title(), text)
-        for heading, run in module.SECTIONS.items():
-            steps[f'{name}: {heading}'] = partial(_run, page, heading, run, options.quick)
-    return steps
-
-
-def _run(
-    page: Page, heading: str, run: Callable[[Page, bool], int | None], brief: bool
-) -> int | None:
-    page.add(f'### {heading}')
-    if inspect.isfunction(run):
-        page.add(inspect.getdoc(run) or '')
-    return run(page, brief)
 
 
 def _options(arguments: Sequence[str] | None) -> argparse.Namespace:

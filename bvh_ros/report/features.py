@@ -2,15 +2,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """The cost of each part that is on, and that it is absent when off."""
 
-import json
 import statistics
-import subprocess
-import sys
 import time
 from collections.abc import Callable
 from functools import partial
 from importlib.util import find_spec
-from itertools import cycle
+from itertools import cycle, product
 from typing import Any
 
 import numpy as np
@@ -34,12 +31,12 @@ from .scenes import (
     units,
 )
 from .timing import Job, interleaved, memory, one_processor
-from .workload import Configuration
+from .workload import Configuration, run_apart
 
 # ---- The cost of each part of a scene that is on, and what a scene without it does not load
 
 
-MICRO = 1e6
+FIGURES = 'update', 'raycast', 'overlap', 'batch', 'start', 'memory'
 COUNT, COUNT_OFF = 2_000, 200  # obstacles
 ON: dict[str, dict[str, Any]] = {
     '3D, axis-aligned boxes': {},
@@ -64,17 +61,7 @@ OFF: dict[str, dict[str, Any]] = {
     'velocities': {'moving': True},
 }
 OFF_IN_BRIEF = 'margin', 'velocities'
-ON_REPEATS = 2
-
-
-def run_apart(job: Configuration) -> dict[str, Any]:
-    """Run a workload: its figures, the kernels that it compiled or loaded, what it imported."""
-    command = [sys.executable, '-m', 'bvh_ros.report.workload', json.dumps(job._asdict())]
-    result = subprocess.run(command, capture_output=True, text=True, check=False)
-    if result.returncode:
-        raise RuntimeError(f'a workload failed: {result.stderr}')
-    figures: dict[str, Any] = json.loads(result.stdout.splitlines()[-1])
-    return figures
+ON_TURNS = 3  # the first is not counted: it compiles what is not compiled yet
 
 
 def parts_on(page: Page, brief: bool) -> None:
@@ -89,23 +76,15 @@ def parts_on(page: Page, brief: bool) -> None:
         for name, options in ON.items()
         if not brief or name in ON_IN_BRIEF
     }
-    for job in jobs.values():  # not timed: it compiles what is not compiled yet
-        run_apart(job._replace(turns=1))
     turns = [
         {name: run_apart(job) for name, job in jobs.items()}
-        for _ in range(1 if brief else ON_REPEATS)
+        for _ in range(2 if brief else ON_TURNS)
     ]
     rows: list[list[Cell]] = []
     for name in jobs:
-        runs = [turn[name] for turn in turns]
-        figures = {
-            key: statistics.median(run[key] for run in runs)
-            for key in ('update', 'raycast', 'overlap', 'batch', 'start', 'memory')
-            if key in runs[0]
-        }
-        times = [figures[key] * MICRO for key in ('update', 'raycast', 'overlap')]
-        batch = figures['batch'] * MICRO if 'batch' in figures else None
-        rows.append([name, *times, batch, figures['start'], figures['memory']])
+        runs = [turn[name] for turn in turns[1:]]
+        medians = [statistics.median(run[key] for run in runs) for key in FIGURES]
+        rows.append([name, *(None if np.isnan(figure) else figure for figure in medians)])
     header = ['part', 'us an obstacle, update', 'us, raycast', 'us, overlap']
     header += ['us a ray in a batch', 's, start', 'MB, memory']
     page.table('features_on', header, rows)
@@ -238,41 +217,27 @@ def node_parts(page: Page, brief: bool) -> None:
         return
     import rclpy
 
+    from ..client import BvhClient
     from ..ros import running
 
     nodes = {LEAN: NODES[LEAN]} if brief else NODES
-    runs: dict[str, list[tuple[float, float]]] = {name: [] for name in nodes}
+    figures: dict[str, list[tuple[float, float]]] = {name: [] for name in nodes}
+    starts = product(range(2 if brief else NODE_TURNS), nodes.items())
     namespace = running.keep_apart()
     running.init()
     try:
         with (page.folder / 'features_node.log').open('wb') as log:
-            for turn in range(2 if brief else NODE_TURNS):
-                for number, (name, parameters) in enumerate(nodes.items()):
-                    space = f'{namespace}_{turn}_{number}'
-                    runs[name].append(_start(space, parameters, log))
+            for number, (_, (name, parameters)) in enumerate(starts):
+                space, began = f'{namespace}_{number}', time.perf_counter()
+                with running.running_node(space, parameters, log=log) as process:
+                    node = rclpy.create_node('features', namespace=space)
+                    running.wait_until_ready(BvhClient(node), process)
+                    figures[name].append((time.perf_counter() - began, memory(process.pid)))
+                    node.destroy_node()
     finally:
         rclpy.try_shutdown()
-    rows: list[list[Cell]] = [
-        [name, *(statistics.median(column) for column in zip(*some[1:], strict=True))]
-        for name, some in runs.items()
-    ]
+    rows = [[name, *np.median(some[1:], axis=0).tolist()] for name, some in figures.items()]
     page.table('features_node', ('configuration', 's until it serves', 'MB, memory'), rows)
-
-
-def _start(space: str, parameters: dict[str, object], log: Any) -> tuple[float, float]:
-    """Seconds until a node serves, and its memory, MB."""
-    import rclpy
-
-    from ..client import BvhClient
-    from ..ros import running
-
-    began = time.perf_counter()
-    with running.running_node(space, parameters, log=log) as process:
-        node = rclpy.create_node('features', namespace=space)
-        running.wait_until_ready(BvhClient(node), process)
-        figures = time.perf_counter() - began, memory(process.pid)
-        node.destroy_node()
-    return figures
 
 
 SECTIONS = {

@@ -60,82 +60,11 @@ def make_work(count: int, queries: int) -> Work:
     return Work(boxes, rays, Boxes(corner, corner + query_edge(boxes, 0.5)), points, away, jumps)
 
 
-def cast_job(library: Library, work: Work) -> Job:
-    """First hits."""
-    scene, rays = library.build(library.prepare(work.boxes)), library.rays(work.rays)
-    return Job(lambda: library.cast(scene, rays), len(work.rays.origins), _count_hits)
-
-
-def _count_hits(ids: Any) -> int:
-    return int(np.count_nonzero(ids >= 0))
-
-
-def frame_job(library: Library, work: Work) -> Job:
-    """Move all boxes, or build anew, then cast."""
-    rays = library.rays(work.rays)
-    if library.mover is None:
-        forms = cycle([library.prepare(boxes) for boxes in (work.away, work.boxes)])
-        return Job(lambda: library.cast(library.build(next(forms)), rays), 1, _count_hits)
-    scene, states = library.build(library.prepare(work.boxes)), cycle((work.away, work.boxes))
-    move = library.mover(scene)
-
-    def run() -> Any:
-        move(None, next(states))
-        return library.cast(scene, rays)
-
-    return Job(run, 1, _count_hits)
-
-
-def move_all_job(library: Library, work: Work) -> Job:
-    """Move every box a little."""
-    move = library.mover(library.build(library.prepare(work.boxes)))
-    states = cycle((work.away, work.boxes))
-    return Job(lambda: move(None, next(states)), len(work.boxes.lo))
-
-
-def move_some_job(library: Library, work: Work) -> Job:
-    """Move few boxes far."""
-    move = library.mover(library.build(library.prepare(work.boxes)))
-    jumps = cycle(work.jumps)
-    return Job(lambda: move(*next(jumps)), len(work.jumps[0][0]))
-
-
-def build_job(library: Library, work: Work) -> Job:
-    """Build from nothing; making the library's own form of boxes is not counted."""
-    form = library.prepare(work.boxes)
-    return Job(lambda: library.build(form), len(work.boxes.lo), library.size)
-
-
-def overlap_job(library: Library, work: Work) -> Job:
-    """Boxes that overlap small boxes."""
-    scene, small = library.build(library.prepare(work.boxes)), library.prepare(work.small)
-    return Job(lambda: library.overlap(scene, small), len(work.small.lo), int)
-
-
-def pairs_job(library: Library, work: Work) -> Job:
-    """All pairs of boxes that overlap."""
-    scene = library.build(library.prepare(work.boxes))
-    return Job(lambda: library.pairs(scene), len(work.boxes.lo), int)
-
-
-def nearest_job(library: Library, work: Work) -> Job:
-    """The nearest of many points; a point is a box without extent."""
-    centers = work.boxes.centers
-    scene = library.build(library.prepare(Boxes(centers, centers)))
-
-    def millimetres(distances: Floats) -> int:
-        """Equal only if the same points were found."""
-        return round(float(np.sum(distances)) * 1e3)
-
-    return Job(lambda: library.nearest(scene, work.points), len(work.points), millimetres)
-
-
 class Task(NamedTuple):
     """One kind of work."""
 
-    name: str  # of the table
+    name: str  # of the table, and in `job_of`
     needs: str  # what a library must offer
-    job: Callable[[Library, Work], Job]
     title: str
     unit: str  # what a figure is a time of
     answers: str = ''  # what was counted, to see that all gave the same answer
@@ -146,18 +75,63 @@ class Task(NamedTuple):
 GROWING = (1_000, 10_000, 100_000)
 FRAME = 'Move all boxes a little, then 1,000 rays'
 TASKS = (
-    Task('cast', 'cast', cast_job, 'Cast rays: the first box on each', 'ns a ray', 'hits', 20_000,
-         GROWING),
-    Task('frame', 'cast', frame_job, FRAME, 'ns a frame', 'hits', 1_000),
-    Task('move_all', 'mover', move_all_job, 'Move all boxes a little', 'ns a box'),
-    Task('move_some', 'mover', move_some_job, 'Move 1 box in 32 to anywhere', 'ns a box'),
-    Task('build', 'build', build_job, 'Build from nothing', 'ns a box', 'boxes'),
-    Task('overlap', 'overlap', overlap_job, 'Overlaps of a small box', 'ns a query', 'hits',
-         20_000),
-    Task('pairs', 'pairs', pairs_job, 'All pairs of boxes that overlap', 'ns a box', 'pairs'),
-    Task('nearest', 'nearest', nearest_job, 'Nearest of many points', 'ns a query', 'mm in sum',
-         20_000),
-)  # fmt: skip
+    Task('cast', 'cast', 'Cast rays: the first box on each', 'ns a ray', 'hits', 20_000, GROWING),
+    Task('frame', 'cast', FRAME, 'ns a frame', 'hits', 1_000),
+    Task('move_all', 'mover', 'Move all boxes a little', 'ns a box'),
+    Task('move_some', 'mover', 'Move 1 box in 32 to anywhere', 'ns a box'),
+    Task('build', 'build', 'Build from nothing', 'ns a box', 'boxes'),
+    Task('overlap', 'overlap', 'Overlaps of a small box', 'ns a query', 'hits', 20_000),
+    Task('pairs', 'pairs', 'All pairs of boxes that overlap', 'ns a box', 'pairs'),
+    Task('nearest', 'nearest', 'Nearest of many points', 'ns a query', 'mm in sum', 20_000),
+)
+
+
+def job_of(task: str, library: Library, work: Work) -> Job:
+    """A task of a library. What makes its own form of boxes and rays is not timed."""
+    form, rays = library.prepare(work.boxes), library.rays(work.rays)
+    scene, count = library.build(form), len(work.boxes.lo)
+    states, jumps = cycle((work.away, work.boxes)), cycle(work.jumps)
+    match task:
+        case 'cast':
+            return Job(lambda: library.cast(scene, rays), len(work.rays.origins), _count_hits)
+        case 'frame' if library.mover is None:
+            forms = cycle([library.prepare(work.away), form])
+            return Job(lambda: library.cast(library.build(next(forms)), rays), 1, _count_hits)
+        case 'frame':
+            move = library.mover(scene)
+
+            def move_and_cast() -> Any:
+                move(None, next(states))
+                return library.cast(scene, rays)
+
+            return Job(move_and_cast, 1, _count_hits)
+        case 'move_all':
+            move = library.mover(scene)
+            return Job(lambda: move(None, next(states)), count)
+        case 'move_some':
+            move = library.mover(scene)
+            return Job(lambda: move(*next(jumps)), len(work.jumps[0][0]))
+        case 'build':
+            return Job(lambda: library.build(form), count, library.size)
+        case 'overlap':
+            small = library.prepare(work.small)
+            return Job(lambda: library.overlap(scene, small), len(work.small.lo), int)
+        case 'pairs':
+            return Job(lambda: library.pairs(scene), count, int)
+    centers = work.boxes.centers  # a point is a box without extent
+    scene = library.build(library.prepare(Boxes(centers, centers)))
+    return Job(lambda: library.nearest(scene, work.points), len(work.points), _millimetres)
+
+
+def _count_hits(ids: Any) -> int:
+    return int(np.count_nonzero(ids >= 0))
+
+
+def _millimetres(distances: Floats) -> int:
+    """Equal only if the same points were found."""
+    return round(float(np.sum(distances)) * 1e3)
+
+
 REPEATS, REPEATS_QUICK = 15, 3
 
 
@@ -184,7 +158,7 @@ def _measure(page: Page, task: Task, libraries: list[Library], brief: bool) -> N
     header, rows = ['library'], {library.name: list[Cell]([library.name]) for library in able}
     for size in (300,) if brief else task.sizes:
         work = make_work(size, min(task.queries, 200) if brief else task.queries)
-        jobs = {library.name: task.job(library, work) for library in able}
+        jobs = {library.name: job_of(task.name, library, work) for library in able}
         found = interleaved(jobs, REPEATS_QUICK if brief else REPEATS)
         header += [f'{task.unit}, {size:,} boxes', 'ours / this']
         for name, timing in found.items():
@@ -331,20 +305,27 @@ def calls(page: Page, brief: bool) -> None:
     rooms = {'tree': of_tree(tree, queries), 'scene': of_scene(scene, names, queries)}
     ours = {f'{room}: {name}': q.job() for room, some in rooms.items() for name, q in some.items()}
     ours |= _changes(boxes, count, scene, names)
-    peers = _peer_jobs(boxes, queries)
-    jobs = ours | {f'{name} of {peer}': job for name, (peer, job) in peers.items()}
-    found = interleaved(jobs, repeats)
+    rows = beside(ours, _peer_jobs(boxes, queries), repeats)
+    page.table(
+        'peers_calls', ['call', 'us a call', 'peer', 'us a call there', 'ours / peer'], rows
+    )
+
+
+Peers = dict[str, tuple[str, Job]]  # name of the peer and job, by the name of our call
+
+
+def beside(ours: dict[str, Job], peers: Peers, repeats: int) -> list[list[Cell]]:
+    """For each of our jobs a row: name, us, the peer's name, us there, and ours over that."""
+    theirs = {f'{name} of a peer': job for name, (_, job) in peers.items()}
+    found = interleaved(ours | theirs, repeats)
     rows: list[list[Cell]] = []
     for name in ours:
         time = found[name].microseconds
         rows.append([name, time, '', None, None])
         if name in peers:
-            peer = peers[name][0]
-            theirs = found[f'{name} of {peer}'].microseconds
-            rows[-1][2:] = [peer, theirs, time / theirs]
-    page.table(
-        'peers_calls', ['call', 'us a call', 'peer', 'us a call there', 'ours / peer'], rows
-    )
+            there = found[f'{name} of a peer'].microseconds
+            rows[-1][2:] = [peers[name][0], there, time / there]
+    return rows
 
 
 def _changes(boxes: Boxes, count: int, scene: Scene, names: list[str]) -> dict[str, Job]:
@@ -384,9 +365,9 @@ def _changes(boxes: Boxes, count: int, scene: Scene, names: list[str]) -> dict[s
     }
 
 
-def _peer_jobs(boxes: Boxes, queries: Queries) -> dict[str, tuple[str, Job]]:
-    """What installed peers have of the kind: name of the peer and job, by the name of our call."""
-    found: dict[str, tuple[str, Job]] = {}
+def _peer_jobs(boxes: Boxes, queries: Queries) -> Peers:
+    """What installed peers have of the kind."""
+    found: Peers = {}
     if EMBREE.installed():
         rays = [part.astype(np.float32)[:, None] for part in queries[:2]]
         found['tree: raycast'] = 'Embree', each(EMBREE.build(EMBREE.prepare(boxes)).run, *rays)
@@ -425,28 +406,18 @@ def meshes(page: Page, brief: bool) -> None:
     count, queries, repeats = (50, 20, 3) if brief else (MESH_RAYS, MESH_QUERIES, MESH_REPEATS)
     rows: list[list[Cell]] = []
     for grid in ((8, 6),) if brief else GRIDS:
-        jobs, shared = _mesh_jobs(wavy_ring(*grid), count, queries)
-        found = interleaved(jobs, repeats)
-        for name in jobs:
-            if name in PEERS_OF_MESHES.values():
-                continue
-            time, peer = found[name].microseconds, PEERS_OF_MESHES.get(name)
-            theirs = found[peer].microseconds if peer in found else None
-            ratio = None if theirs is None else time / theirs
-            rows.append([shared, name, time, peer if peer in found else '', theirs, ratio])
+        vertices, faces = wavy_ring(*grid)
+        found = beside(*_mesh_jobs(vertices, faces, count, queries), repeats)
+        rows += [[len(faces), *row] for row in found]
     columns = ['triangles', 'work', 'us', 'beside', 'us there', 'ours / this']
     page.table('peers_meshes', columns, rows)
 
 
-BUILD, POSED = 'build', 'new pose'
-THIN = 'ray'
-PEERS_OF_MESHES = {THIN: 'ray, Embree', BUILD: 'build, Embree', POSED: 'new pose, turned box'}
-
-
-def _mesh_jobs(ring: tuple[Floats, Any], count: int, queries: int) -> tuple[dict[str, Job], int]:
-    """The work on a mesh, and how many triangles it has."""
-    (vertices, faces), rng = ring, np.random.default_rng(0)
-    mesh, extent = Mesh(vertices, faces), np.abs(vertices).max(axis=0)
+def _mesh_jobs(
+    vertices: Floats, faces: Any, count: int, queries: int
+) -> tuple[dict[str, Job], Peers]:
+    """The work on a mesh."""
+    rng, mesh, extent = np.random.default_rng(0), Mesh(vertices, faces), abs(vertices).max(axis=0)
     scene = Scene()
     scene.update('report', ['ring'], Shapes.of_meshes(mesh, np.zeros((1, 3))), stamp=0)
     origins = 3.0 * units(rng.normal(size=(count, 3)))
@@ -458,8 +429,10 @@ def _mesh_jobs(ring: tuple[Floats, Any], count: int, queries: int) -> tuple[dict
     edges = np.full((queries, 3), 0.3)
     boxes = Shapes.boxes(centres, edges, turns)
     balls = Shapes.spheres(centres, np.full(queries, 0.2))
+    posed = _pose_job(lambda at, turn: Shapes.of_meshes(mesh, at, turn), rng)
+    boxed = _pose_job(lambda at, turn: Shapes.boxes(at, np.full((POSES, 3), 1.0), turn), rng)
     jobs = {
-        THIN: Job(lambda: scene.raycast_many(origins, directions), count),
+        'ray': Job(lambda: scene.raycast_many(origins, directions), count),
         'swept ball': Job(
             lambda: scene.raycast_many(origins[some], directions[some], 1.0, radius=BALL), queries
         ),
@@ -467,19 +440,16 @@ def _mesh_jobs(ring: tuple[Floats, Any], count: int, queries: int) -> tuple[dict
         'clearance of a turned box': Job(lambda: scene.clearance_many(boxes), queries),
         'clearance of a ball': Job(lambda: scene.clearance_many(balls), queries),
         'overlap of a turned box': Job(lambda: scene.overlap_many(centres, edges, turns), queries),
-        BUILD: Job(lambda: Mesh(vertices, faces).tree, 1),
-        POSED: _pose_job(lambda at, turn: Shapes.of_meshes(mesh, at, turn), rng),
-        PEERS_OF_MESHES[POSED]: _pose_job(
-            lambda at, turn: Shapes.boxes(at, np.full((POSES, 3), 1.0), turn), rng
-        ),
+        'build': Job(lambda: Mesh(vertices, faces).tree, 1),
+        'new pose': posed,
     }
+    peers = {'new pose': ('new pose, turned box', boxed)}
     if EMBREE.installed():
         theirs = vertices.astype(np.float32), faces
-        peer = embree_scene(theirs)
-        rays = [np.ascontiguousarray(part, np.float32) for part in (origins, directions)]
-        jobs[PEERS_OF_MESHES[THIN]] = Job(lambda: peer.run(*rays, output=True), count)
-        jobs[PEERS_OF_MESHES[BUILD]] = Job(lambda: embree_scene(theirs), 1)
-    return jobs, len(faces)
+        peer, rays = embree_scene(theirs), EMBREE.rays(Rays(origins, directions))
+        peers['ray'] = 'ray, Embree', Job(lambda: peer.run(*rays, output=True), count)
+        peers['build'] = 'build, Embree', Job(lambda: embree_scene(theirs), 1)
+    return jobs, peers
 
 
 def _pose_job(shapes: Callable[[Floats, Floats], Shapes], rng: np.random.Generator) -> Job:

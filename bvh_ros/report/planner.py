@@ -19,7 +19,7 @@ from .error.methods import COLOURS, LETTERS, scale
 from .libraries import COAL, FCL, Library, collision_objects
 from .page import Cell, Page
 from .scenes import Boxes, Floats, spread, uniform_boxes, units
-from .timing import Job, interleaved, one_processor, repeated
+from .timing import Job, alone, interleaved, one_processor, repeated
 
 BOXES, ROWS, REPEATS = 10_000, (1, 100, 10_000), 7
 LOOPED = 300  # rows of the loops over peers, and of the finest samples
@@ -190,8 +190,8 @@ BODY, LENGTH, ANGLE = np.array((0.6, 0.4, 0.3)), 0.5, np.deg2rad(30.0)  # m, m, 
 RESOLUTION, EXACT = 1e-4, 1e-6  # m
 DENSER = 1.7  # times the edges of `uniform_boxes`
 ARM = float(np.linalg.norm(BODY)) / 2.0
-SWEEP, POSES = 'sweep between two poses', 'poses on the way'
-STEPS = {SWEEP: (1e-2, 1e-3, 1e-4, 1e-5, 1e-6), POSES: (0.1, 0.03, 0.01, 3e-3, 1e-3)}  # m
+SHAPE = Shapes.boxes([0.0, 0.0, 0.0], BODY)
+W_FIRST = [3, 0, 1, 2]  # a quaternion, as peers have it
 
 
 class Edges(NamedTuple):
@@ -201,6 +201,7 @@ class Edges(NamedTuple):
     turns: Floats
     goals: Floats
     goal_turns: Floats
+    axes: Floats  # of the turn between both
 
     def take(self, rows: Any) -> 'Edges':
         """Some of them."""
@@ -213,10 +214,16 @@ def turned_by(axes: Floats, angle: Any, turns: Floats) -> Floats:
     return after
 
 
-def world(brief: bool, times: int = 1) -> tuple[Scene, Any, Floats, Edges, Floats]:
-    """A scene of turned boxes, the boxes and their turns, edges, so many times as many, and the
-    axes of those.
-    """
+class World(NamedTuple):
+    """Turned boxes, and a scene of them."""
+
+    scene: Scene
+    boxes: Boxes  # as they are before the turns
+    turns: Floats
+
+
+def world(brief: bool, times: int = 1) -> tuple[World, Edges]:
+    """Turned boxes and edges, so many times as many."""
     rng, scene = np.random.default_rng(7), Scene()
     boxes = uniform_boxes(300 if brief else BOXES, rng)
     half = boxes.edges * (0.5 * DENSER)
@@ -226,53 +233,57 @@ def world(brief: bool, times: int = 1) -> tuple[Scene, Any, Floats, Edges, Float
     scene.update('report', names, Shapes.boxes(boxes.centers, boxes.edges, turned), stamp=0)
     count = times * (100 if brief else EDGES)
     starts, turns = spread(3 * count, rng), unit_quaternions(rng.normal(size=(3 * count, 4)))
-    free = ~scene.overlap_shape_many(Shapes.boxes([0.0, 0.0, 0.0], BODY), starts, turns)
+    free = ~scene.overlap_shape_many(SHAPE, starts, turns)
     starts, turns = starts[free][:count], turns[free][:count]
     goals = starts + LENGTH * units(rng.normal(size=(count, 3)))
     axes = units(rng.normal(size=(count, 3)))
-    edges = Edges(starts, turns, goals, turned_by(axes, ANGLE, turns))
-    return scene, boxes, turned, edges, axes
+    edges = Edges(starts, turns, goals, turned_by(axes, ANGLE, turns), axes)
+    return World(scene, boxes, turned), edges
 
 
-def certified(scene: Scene, edges: Edges, resolution: float = RESOLUTION) -> Floats:
+def certified(scene: Scene, edges: Edges, resolution: float) -> Floats:
     """When each edge first meets something; inf if never."""
-    t: Floats = scene.sweep_shape_many(
-        Shapes.boxes([0.0, 0.0, 0.0], BODY), *edges, resolution=resolution
-    ).t  # type: ignore[union-attr]
+    hits: Any = scene.sweep_shape_many(SHAPE, *edges[:4], resolution=resolution)
+    t: Floats = hits.t
     return t
 
 
-def sampled(scene: Scene, edges: Edges, axes: Floats, step: float) -> Floats:
+def sampled(scene: Scene, edges: Edges, step: float) -> Floats:
     """The same at poses between which no point goes farther than `step`, m."""
     poses = int(np.ceil((LENGTH + ANGLE * ARM) / step)) + 1
     share, count = np.linspace(0.0, 1.0, poses), len(edges.starts)
     places = edges.starts[:, None] + share[:, None] * (edges.goals - edges.starts)[:, None]
-    axes, turns = (np.repeat(rows, poses, axis=0) for rows in (axes, edges.turns))
+    axes, turns = (np.repeat(rows, poses, axis=0) for rows in (edges.axes, edges.turns))
     turns = turned_by(axes, np.tile(share * ANGLE, count)[:, None], turns)
-    shape = Shapes.boxes([0.0, 0.0, 0.0], BODY)
-    touched = scene.overlap_shape_many(shape, places.reshape(-1, 3), turns).reshape(count, poses)
+    touched = scene.overlap_shape_many(SHAPE, places.reshape(-1, 3), turns).reshape(count, poses)
     return np.where(touched.any(axis=1), share[touched.argmax(axis=1)], np.inf)
 
 
-def of_rapier(boxes: Any, turned: Floats, edges: Edges, axes: Floats) -> Callable[[], Floats]:
+SWEEP, POSES = 'sweep between two poses', 'poses on the way'
+METHODS: dict[str, Callable[[Scene, Edges, float], Floats]] = {SWEEP: certified, POSES: sampled}
+STEPS = {SWEEP: (1e-2, 1e-3, 1e-4, 1e-5, 1e-6), POSES: (0.1, 0.03, 0.01, 3e-3, 1e-3)}  # m
+
+
+def of_rapier(world: World, edges: Edges) -> Callable[[], Floats]:
     """`cast_shape_nonlinear` in a loop: float32."""
     rapier = import_module('rapier3d')
-    scene = rapier.PhysicsWorld()
-    for centre, half, turn in zip(boxes.centers, boxes.edges / 2.0, turned, strict=True):
+
+    def pose(place: Floats, turn: Floats) -> Any:
+        return rapier.Isometry3(place.tolist(), rapier.Rotation3(*turn[W_FIRST].tolist()))
+
+    scene, boxes = rapier.PhysicsWorld(), world.boxes
+    for centre, half, turn in zip(boxes.centers, boxes.edges / 2.0, world.turns, strict=True):
         collider = rapier.Collider.cuboid(*half.tolist())
-        pose = rapier.Isometry3(centre.tolist(), rapier.Rotation3(*turn[[3, 0, 1, 2]].tolist()))
-        scene.add_collider(collider.position(pose).build())
+        scene.add_collider(collider.position(pose(centre, turn)).build())
     scene.detect_collisions()
     scene.update_query_pipeline()
     box, options = rapier.SharedShape.cuboid(*(BODY / 2.0).tolist()), rapier.ShapeCastOptions()
+    still = [0.0, 0.0, 0.0]
     motions = [
         rapier.NonlinearRigidMotion(
-            rapier.Isometry3(start.tolist(), rapier.Rotation3(*turn[[3, 0, 1, 2]].tolist())),
-            [0.0, 0.0, 0.0],
-            (goal - start).tolist(),
-            (axis * ANGLE).tolist(),
+            pose(start, turn), still, (goal - start).tolist(), (axis * ANGLE).tolist()
         )
-        for start, turn, goal, axis in zip(*edges[:3], axes, strict=True)
+        for start, turn, goal, _, axis in zip(*edges, strict=True)
     ]
     ask = scene.query_pipeline.cast_shape_nonlinear
 
@@ -283,12 +294,11 @@ def of_rapier(boxes: Any, turned: Floats, edges: Edges, axes: Floats) -> Callabl
     return run
 
 
-def of_fcl(scene: Scene, boxes: Any, turned: Floats, edges: Edges) -> Callable[[], Floats]:
+def of_fcl(world: World, edges: Edges) -> Callable[[], Floats]:
     """`continuousCollide` of each pair that the tree finds."""
-    fcl = import_module('fcl')
-    w_first = [3, 0, 1, 2]
-    forms = [fcl.Box(*edge) for edge in boxes.edges]
-    obstacles = collision_objects('fcl', forms, turned[:, w_first], boxes.centers)
+    fcl, scene = import_module('fcl'), world.scene
+    forms = [fcl.Box(*edge) for edge in world.boxes.edges]
+    obstacles = collision_objects('fcl', forms, world.turns[:, W_FIRST], world.boxes.centers)
     request = fcl.ContinuousCollisionRequest(
         ccd_motion_type=fcl.CCDMotionType.CCDM_LINEAR,
         ccd_solver_type=fcl.CCDSolverType.CCDC_CONSERVATIVE_ADVANCEMENT,
@@ -300,8 +310,8 @@ def of_fcl(scene: Scene, boxes: Any, turned: Floats, edges: Edges) -> Callable[[
     still = [obstacle.getTransform() for obstacle in obstacles]
     items = []
     for i in range(len(middle)):
-        start = fcl.Transform(edges.turns[i][w_first], edges.starts[i])
-        goal = fcl.Transform(edges.goal_turns[i][w_first], edges.goals[i])
+        start = fcl.Transform(edges.turns[i][W_FIRST], edges.starts[i])
+        goal = fcl.Transform(edges.goal_turns[i][W_FIRST], edges.goals[i])
         box = fcl.CollisionObject(fcl.Box(*BODY), start)
         items += [(i, box, goal, row) for row in rows[offsets[i] : offsets[i + 1]]]
 
@@ -326,23 +336,24 @@ def comparison(page: Page, brief: bool) -> None:
     and without the time of a tree (coal has no continuous collision in Python). *misses*: edges
     that meet something at a resolution of 1 um, and are free here. *meets*: the other way round.
     """
-    scene, boxes, turned, every, axes = world(brief)
-    few = slice(30 if brief else LOOPED)
-    some, their_axes = every.take(few), axes[few]
-    exact = certified(scene, every, EXACT)
-    free, touching = np.isinf(exact), np.isfinite(exact)
+    boxes, every = world(brief)
+    some = every.take(slice(30 if brief else LOOPED))
+    exact = certified(boxes.scene, every, EXACT)
+
+    def sweep(edges: Edges) -> Job:
+        run = partial(certified, boxes.scene, edges, RESOLUTION)
+        return Job(run, max(len(edges.starts), 1))
+
     jobs = {
-        'sweep_shape_many': Job(partial(certified, scene, every), len(every.starts)),
-        'the same, free edges': Job(partial(certified, scene, every.take(free)), int(free.sum())),
-        'the same, edges with contact': Job(
-            partial(certified, scene, every.take(touching)), max(int(touching.sum()), 1)
-        ),
-        'poses every 1 mm': Job(partial(sampled, scene, some, their_axes, 1e-3), len(some.starts)),
+        'sweep_shape_many': sweep(every),
+        'the same, free edges': sweep(every.take(np.isinf(exact))),
+        'the same, edges with contact': sweep(every.take(np.isfinite(exact))),
+        'poses every 1 mm': Job(partial(sampled, boxes.scene, some, 1e-3), len(some.starts)),
     }
     if find_spec('rapier3d'):
-        jobs['rapier3d'] = Job(of_rapier(boxes, turned, some, their_axes), len(some.starts))
+        jobs['rapier3d'] = Job(of_rapier(boxes, some), len(some.starts))
     if find_spec('fcl'):
-        jobs['python-fcl'] = Job(of_fcl(scene, boxes, turned, some), len(some.starts))
+        jobs['python-fcl'] = Job(of_fcl(boxes, some), len(some.starts))
     with one_processor():
         found = interleaved(jobs, 2 if brief else EDGE_REPEATS)
     ours, rows = found['sweep_shape_many'].nanoseconds, []
@@ -369,24 +380,17 @@ def resolutions(page: Page, brief: bool) -> None:
     10 nm. *wrong by*: how far the box is from where it does so. *missed*: edges that seem free.
     The time is that of 300 edges, most of which are free.
     """
-    scene, _, _, every, axes = world(brief, 30)
-    shape = Shapes.boxes([0.0, 0.0, 0.0], BODY)
-    free = ~scene.overlap_shape_many(shape, every.goals, every.goal_turns)
-    usual, usual_axes = every.take(slice(LOOPED)), axes[:LOOPED]
-    chosen = free & np.isfinite(certified(scene, every, 1e-8))
-    every, axes = every.take(chosen), axes[chosen]
+    (scene, *_), every = world(brief, 30)
+    usual = every.take(slice(LOOPED))
+    free = ~scene.overlap_shape_many(SHAPE, every.goals, every.goal_turns)
+    every = every.take(free & np.isfinite(certified(scene, every, 1e-8)))
     exact, speed = certified(scene, every, 1e-8), LENGTH + ANGLE * ARM
     rows: list[list[Cell]] = []
     for name, steps in STEPS.items():
         for step in steps:
-            if name == SWEEP:
-                run = partial(certified, scene, usual, step)
-                t = certified(scene, every, step)
-            else:
-                run = partial(sampled, scene, usual, usual_axes, step)
-                t = sampled(scene, every, axes, step)
+            t, run = METHODS[name](scene, every, step), partial(METHODS[name], scene, usual, step)
             with one_processor():
-                took = interleaved({'': Job(run, LOOPED)}, 1 if brief else 3)[''].microseconds
+                took = alone(run, LOOPED, 1 if brief else 3).microseconds
             found = np.isfinite(t)
             wrong = float(np.abs(exact[found] - t[found]).max(initial=0.0)) * speed
             rows.append([name, step, took, wrong, len(t), int(np.count_nonzero(~found))])
@@ -403,19 +407,14 @@ def _drawn(rows: Sequence[Sequence[Any]]) -> Any:
     axes = figure.add_subplot()
     for name in STEPS:
         points = [(time, wrong) for kind, _, time, wrong, *_ in rows if kind == name]
-        style: dict[str, Any] = {
-            'color': COLOURS[name],
-            'mfc': COLOURS[name] if name == SWEEP else 'white',
-        }
-        axes.plot(*zip(*points, strict=True), 'o-', **style, label=f'{LETTERS[name]}  {name}')
+        face, label = 'white' if name == POSES else COLOURS[name], f'{LETTERS[name]}  {name}'
+        axes.plot(*zip(*points, strict=True), 'o-', color=COLOURS[name], mfc=face, label=label)
     for name, step, time, wrong, meet, missed in rows:
         text = f'{1000 * step:g} mm' + (f': {missed} of {meet} missed' if missed else '')
-        right = name == SWEEP
-        place: dict[str, Any] = {
-            'xytext': (-8 if right else 8, 3),
-            'ha': 'right' if right else 'left',
-        }
-        axes.annotate(text, (time, wrong), textcoords='offset points', fontsize=8, **place)
+        side, shift = ('right', -8) if name == SWEEP else ('left', 8)
+        axes.annotate(
+            text, (time, wrong), (shift, 3), textcoords='offset points', fontsize=8, ha=side
+        )
     axes.set(xlabel='run time an edge, µs', ylabel='contact wrong by at most, m')
     scale(axes, [row[2] for row in rows], 1e-5, 1.0)
     axes.legend(frameon=False, loc='lower right')

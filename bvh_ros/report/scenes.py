@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import brentq
 
 from .. import DynamicBVH
 from ..scene import Scene, Shapes
@@ -79,12 +80,11 @@ def incoherent_rays(count: int, rng: np.random.Generator) -> Rays:
 
 def query_edge(boxes: Boxes, hits: float) -> float:
     """Edge of the cube that overlaps so many of the boxes on average, at a random place."""
-    low, high = 0.0, EDGE
-    for _ in range(60):
-        edge = (low + high) / 2
-        overlaps = float(np.prod(boxes.edges + edge, axis=1).sum()) / EDGE**3
-        low, high = (edge, high) if overlaps < hits else (low, edge)
-    return low
+
+    def too_many(edge: float) -> float:
+        return float(np.prod(boxes.edges + edge, axis=1).sum()) / EDGE**3 - hits
+
+    return float(brentq(too_many, 0.0, EDGE, xtol=1e-12))
 
 
 def wavy_ring(around: int, across: int) -> tuple[Floats, NDArray[np.int32]]:
@@ -105,6 +105,7 @@ def wavy_ring(around: int, across: int) -> tuple[Floats, NDArray[np.int32]]:
 
 
 SECOND = 10**9
+BALL = 0.2  # m, radius of single calls
 PACED, THEN = {'at': 0.0, 'pace': 1.0}, {'at': 1.0}  # a ray starts at 0 s; 1 s later
 TOGETHER, LATER = {'at': 0, 'until': SECOND}, {'at': SECOND}  # a segment takes a second
 
@@ -184,18 +185,17 @@ def of_tree(tree: DynamicBVH, queries: Queries) -> Questions:
 
 def of_scene(scene: Scene, names: list[str], queries: Queries) -> Questions:
     """Queries of a scene with obstacles of these names."""
-
-    def ball(start: Floats, goal: Floats, **times: Any) -> object:
-        return scene.raycast(start, goal, 0.2, **times)
-
     few = slice(queries.calls)
     starts, directions, goals, batches = *queries[:3], partial(_batches, queries)
     ends, boxes = (starts[few], goals[few]), (queries.small.lo[few], queries.small.hi[few])
+    radii = [BALL] * len(ends[0])
     turns = unit_quaternions(np.random.default_rng(1).normal(size=(len(ends[0]), 4)))
     size = tuple(queries.small.edges[0].tolist())
+    shapes = Shapes.boxes(ends[0], size)
+    each_shape = [shapes.take([row]) for row in range(len(shapes.kind))]
     found = {
         'raycast': Question(scene.raycast, ends, 0, TOGETHER),
-        'swept ball': Question(ball, ends, 0, TOGETHER),
+        'swept ball': Question(scene.raycast, (*ends, radii), 0, TOGETHER),
         'overlap': Question(scene.overlap, boxes, 0, LATER),
         'turned overlap': Question(scene.overlap, (*boxes, turns), 0, LATER),
         'nearest': Question(scene.nearest, ends[:1], 0, LATER),
@@ -204,10 +204,8 @@ def of_scene(scene: Scene, names: list[str], queries: Queries) -> Questions:
         **batches(scene.sweep_many, starts, goals, queries.radius, times=TOGETHER),
         **batches(scene.overlap_many, starts, size, times=LATER),
         **batches(scene.nearest_many, starts, times=LATER),
+        'clearance_many, 1 a call': Question(scene.clearance_many, (each_shape,), 0, LATER),
     }
-    shapes = Shapes.boxes(ends[0], size)
-    one_by_one = ([shapes.take([row]) for row in range(len(shapes.kind))],)
-    found['clearance_many, 1 a call'] = Question(scene.clearance_many, one_by_one, 0, LATER)
     if 0 in queries.batches:
         many = Question(scene.clearance_many, (shapes,), len(shapes.kind), LATER)
         found['clearance_many'] = many

@@ -2,15 +2,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Growth, policies of moving, sibling searches and cold start."""
 
-import os
 import resource
 import statistics
-import subprocess
-import sys
 import tempfile
 from functools import partial
 from itertools import cycle
-from typing import NamedTuple
 from unittest.mock import patch
 
 import numpy as np
@@ -22,7 +18,8 @@ from ..tree.compiler import processors
 from . import workload
 from .page import Cell, Page
 from .scenes import Boxes, Rays, incoherent_rays, spread, uniform_boxes
-from .timing import Job, interleaved, seconds
+from .stability import over_new_build
+from .timing import Job, alone, interleaved, seconds
 
 # ---- Growth from a thousand to a million boxes
 
@@ -88,8 +85,8 @@ def cold_start(page: Page, brief: bool) -> None:
     with tempfile.TemporaryDirectory() as folder:
         cache = {} if brief else {'NUMBA_CACHE_DIR': folder}
         if not brief:
-            rows.append(['empty', *_printed(FIRST_ANSWER, **cache)])
-        runs = [_printed(FIRST_ANSWER, **cache) for _ in range(1 if brief else WARM_RUNS)]
+            rows.append(['empty', *_numbers(FIRST_ANSWER, **cache)])
+        runs = [_numbers(FIRST_ANSWER, **cache) for _ in range(1 if brief else WARM_RUNS)]
     rows.append(['warm', *(statistics.median(column) for column in zip(*runs, strict=True))])
     header = 'kernel cache', 's, import', 's, import to first answer'
     page.table('speed_cold_start', header, rows)
@@ -115,9 +112,9 @@ def kernels(page: Page, brief: bool) -> None:
         page.add('Left out: with an empty cache it takes two minutes.')
         return
     with tempfile.TemporaryDirectory() as folder:
-        found = workload.measure(NUMBA_CACHE_DIR=folder, BVH_ROS_KERNELS='')
+        found = workload.compile_apart(NUMBA_CACHE_DIR=folder, BVH_ROS_KERNELS='')
     with tempfile.TemporaryDirectory() as folder:
-        (wall,) = _printed(TOGETHER, NUMBA_CACHE_DIR=folder, BVH_ROS_KERNELS='')
+        (wall,) = _numbers(TOGETHER, NUMBA_CACHE_DIR=folder, BVH_ROS_KERNELS='')
     rows: list[list[Cell]] = [[entry.name, entry.seconds, entry.llvm] for entry in found]
     alone = sum(entry.seconds for entry in found)
     rows.append(['all', alone, sum(entry.llvm for entry in found)])
@@ -129,11 +126,9 @@ def kernels(page: Page, brief: bool) -> None:
     page.table('speed_cold_kernels', ('kernel', 's', 's of that in LLVM'), rows)
 
 
-def _printed(program: str, **environment: str) -> list[float]:
+def _numbers(program: str, **environment: str) -> list[float]:
     """The numbers that a program prints in a process of its own."""
-    command, variables = [sys.executable, '-c', program], {**os.environ, **environment}
-    ended = subprocess.run(command, env=variables, stdout=subprocess.PIPE, text=True, check=True)
-    return [float(word) for word in ended.stdout.split()]
+    return [float(word) for word in workload.printed(program, **environment).split()]
 
 
 # ---- Policies of move_many: reinsert, refit or rebuild, by the share that moved
@@ -167,25 +162,18 @@ def policies(page: Page, brief: bool) -> None:
         rows: list[list[Cell]] = []
         for share in SHARES_QUICK if brief else SHARES:
             moves = _moves(boxes, share, kind)
-            movers = {name: Mover(boxes, moves, shares) for name, shares in POLICIES.items()}
-            jobs = {name: Job(mover.step, 1) for name, mover in movers.items()}
+            trees = {name: DynamicBVH.from_boxes(*boxes) for name in POLICIES}
+            jobs = {name: _mover(tree, moves, POLICIES[name]) for name, tree in trees.items()}
             with patch.object(dynamic_bvh, 'SHARES'):  # put back at the end
                 times = interleaved(jobs, POLICY_REPEATS, warm=False)
-            costs = [_over_new_build(mover.tree) for mover in movers.values()]
+            costs = [over_new_build(tree) for tree in trees.values()]
             rows.append([share, *(timing.microseconds for timing in times.values()), *costs])
         page.add(f'Moved {kind}:')
         page.table(f'speed_policies_{kind}', header, rows)
 
 
-class Moved(NamedTuple):
-    """Some rows, and where they move."""
-
-    rows: NDArray[np.int64]
-    boxes: Boxes
-
-
-def _moves(boxes: Boxes, share: float, kind: str) -> list[Moved]:
-    """One for each call, with other rows each time."""
+def _moves(boxes: Boxes, share: float, kind: str) -> list[tuple[NDArray[np.int64], Boxes]]:
+    """Rows, and where they move: one for each call, with other rows each time."""
     rng, found = np.random.default_rng(2), []
     count = max(1, round(share * len(boxes.lo)))
     for _ in range(POLICY_REPEATS + 1):
@@ -195,28 +183,22 @@ def _moves(boxes: Boxes, share: float, kind: str) -> list[Moved]:
             shift = rng.uniform(-1, 1, here.lo.shape) * here.edges
         else:
             shift = spread(count, rng) - here.centers
-        found.append(Moved(rows, here.moved(shift)))
+        found.append((rows, here.moved(shift)))
     return found
 
 
-class Mover:
-    """A tree whose boxes move under one policy."""
+def _mover(
+    tree: DynamicBVH, moves: list[tuple[NDArray[np.int64], Boxes]], shares: tuple[float, float]
+) -> Job:
+    """Makes the next move of a tree under one policy."""
+    ids, turns = tree.ids(), cycle(moves)
 
-    def __init__(self, boxes: Boxes, moves: list[Moved], shares: tuple[float, float]) -> None:
-        self.tree = DynamicBVH.from_boxes(*boxes)
-        self._ids, self._moves, self._shares = self.tree.ids(), cycle(moves), shares
+    def run() -> None:
+        rows, boxes = next(turns)
+        dynamic_bvh.SHARES = shares
+        tree.move_many(ids[rows], *boxes)
 
-    def step(self) -> None:
-        """Make the next move."""
-        rows, boxes = next(self._moves)
-        dynamic_bvh.SHARES = self._shares
-        self.tree.move_many(self._ids[rows], *boxes)
-
-
-def _over_new_build(tree: DynamicBVH) -> float:
-    cost = tree.cost()
-    tree.rebuild()
-    return cost / tree.cost()
+    return Job(run, 1)
 
 
 # ---- Sibling searches: greedy, and branch and bound, compared with a bulk build
@@ -258,8 +240,7 @@ def _search_rows(size: int, many: int) -> list[list[Cell]]:
         moving = seconds(partial(_move, tree, places)) * 1e9 / (size * ROUNDS)
         tree.validate()
         rows.append([*row, moving, *_quality(tree, after, rays)])
-    job = Job(lambda: DynamicBVH.from_boxes(*boxes), size)
-    build = interleaved({'': job}, SEARCH_REPEATS)[''].nanoseconds
+    build = alone(lambda: DynamicBVH.from_boxes(*boxes), size, SEARCH_REPEATS).nanoseconds
     both = _quality(before, before, rays), _quality(after, after, rays)
     return [*rows, [size, 'bulk build', build, *both[0], None, *both[1]]]
 
@@ -286,9 +267,8 @@ def _move(tree: DynamicBVH, places: list[Boxes]) -> None:
 
 def _quality(tree: DynamicBVH, built: DynamicBVH, rays: Rays) -> list[Cell]:
     """Cost over that of a bulk build, height, and time of a ray."""
-    job = Job(lambda: tree.raycast_many(*rays), len(rays.origins))
-    time_of_ray = interleaved({'': job}, SEARCH_REPEATS)[''].nanoseconds
-    return [tree.cost() / built.cost(), tree.height, time_of_ray]
+    timing = alone(lambda: tree.raycast_many(*rays), len(rays.origins), SEARCH_REPEATS)
+    return [tree.cost() / built.cost(), tree.height, timing.nanoseconds]
 
 
 SECTIONS = {

@@ -87,6 +87,11 @@ def interleaved(jobs: Mapping[str, Job], repeats: int, warm: bool = True) -> dic
     }
 
 
+def alone(run: Callable[[], Any], units: int, repeats: int) -> Timing:
+    """Time one job as `interleaved` does."""
+    return interleaved({'': Job(run, units)}, repeats)['']
+
+
 @contextmanager
 def one_processor() -> Iterator[None]:
     """Keep this process on one processor: some libraries would use more, unasked."""

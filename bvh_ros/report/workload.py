@@ -1,31 +1,26 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""What is measured in a process of its own: a scene at work, and the kernels that a node compiles.
-
-`python -m bvh_ros.report.workload '<Configuration as JSON>'` prints as JSON what a unit of each
-kind of work took, the processor time until the first answer, the memory of the process and of the
-scene, and which kernels and modules it took.
-"""
+"""What is measured in a process of its own: a scene at work, and the kernels of a node."""
 
 import gc
 import json
+import math
 import os
 import subprocess
 import sys
 import time
-from collections.abc import Callable
 from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from bvh_ros.report.timing import memory, seconds
+from bvh_ros.report.timing import Job, memory, seconds
 from bvh_ros.scene import Mesh, Numbered, Scene, ShapeKind, Shapes
 from bvh_ros.scene.shapes.shape import IDENTITY, unit_quaternions
 from bvh_ros.tree.compiler.kernel_parts import Kernel
 
 if TYPE_CHECKING:
-    from bvh_ros.ros.compile_jobs import Job
+    from bvh_ros.ros import compile_jobs
 
 RAYS, OVERLAPS = 300, 100
 STEP = 0.05  # m that obstacles go from frame to frame
@@ -44,13 +39,6 @@ class Configuration(NamedTuple):
     batch: int = 0  # how many times all rays are in a batch; 0: no batch
     moving: bool = False
     turns: int = 9  # of the work; the fastest counts, as disturbances only slow it down
-
-
-class Work(NamedTuple):
-    """What is done in a turn."""
-
-    run: Callable[[], object]
-    units: int
 
 
 def obstacles(job: Configuration, rng: np.random.Generator) -> Shapes:
@@ -75,7 +63,7 @@ def obstacles(job: Configuration, rng: np.random.Generator) -> Shapes:
     return Shapes(np.full(count, kind, np.uint8), places, turns, size)
 
 
-def prepare(job: Configuration) -> tuple[Scene, dict[str, Work]]:
+def prepare(job: Configuration) -> tuple[Scene, dict[str, Job]]:
     """Fill a scene and query it a first time."""
     rng = np.random.default_rng(1)
     shapes, count = obstacles(job, rng), job.obstacles
@@ -104,23 +92,23 @@ def prepare(job: Configuration) -> tuple[Scene, dict[str, Work]]:
         query['at'] = LATER
     boxes = [(goal - 0.5, goal + 0.5) for goal in goals[:OVERLAPS]]
     work = {
-        'update': Work(update, count),
-        'raycast': Work(lambda: [scene.raycast(*ray, **query) for ray in rays], len(rays)),
-        'overlap': Work(lambda: [scene.overlap(*box, **query) for box in boxes], len(boxes)),
+        'update': Job(update, count),
+        'raycast': Job(lambda: [scene.raycast(*ray, **query) for ray in rays], len(rays)),
+        'overlap': Job(lambda: [scene.overlap(*box, **query) for box in boxes], len(boxes)),
     }
     if job.batch:
         many = np.tile(starts, (job.batch, 1)), np.tile(goals - starts, (job.batch, 1)), 1.0
-        work['batch'] = Work(lambda: scene.raycast_many(*many, **query), len(many[0]))
+        work['batch'] = Job(lambda: scene.raycast_many(*many, **query), len(many[0]))
     return scene, work
 
 
-def main(job: Configuration) -> dict[str, Any]:
-    """Take turns."""
+def measure(job: Configuration) -> dict[str, Any]:
+    """Take turns: us a unit of each kind of work, and what it took."""
     scene, work = prepare(job)
-    figures: dict[str, Any] = {'start': time.process_time()}
-    for kind, (run, count) in work.items():
+    figures: dict[str, Any] = {'start': time.process_time(), 'batch': math.nan}
+    for kind, (run, count, _) in work.items():
         run()
-        figures[kind] = min(seconds(run) for _ in range(job.turns)) / count
+        figures[kind] = 1e6 * min(seconds(run) for _ in range(job.turns)) / count
     figures['memory'] = memory()
     stats = scene.stats()
     figures['tree'] = float(
@@ -130,6 +118,20 @@ def main(job: Configuration) -> dict[str, Any]:
     loaded = {name.partition('.')[0] for name in sys.modules}
     figures['libraries'] = sorted(loaded & {'rclpy', 'fcl', 'matplotlib'})
     return figures
+
+
+def run_apart(job: Configuration) -> dict[str, Any]:
+    """Run a workload: its figures, the kernels that it compiled or loaded, what it imported."""
+    program = f'import json; from {__name__} import *; print(json.dumps(measure({job!r})))'
+    figures: dict[str, Any] = json.loads(printed(program))
+    return figures
+
+
+def printed(program: str, **environment: str) -> str:
+    """What a program prints in a process of its own."""
+    command, variables = [sys.executable, '-c', program], {**os.environ, **environment}
+    ended = subprocess.run(command, env=variables, stdout=subprocess.PIPE, text=True, check=True)
+    return ended.stdout
 
 
 # The kernels that a process has compiled, and those of a node without configuration.
@@ -144,30 +146,30 @@ class Entry(NamedTuple):
     llvm: float  # seconds of that in LLVM
 
 
-def default_jobs() -> list['Job']:
+def default_jobs() -> list['compile_jobs.Job']:
     """Return what compiles all that a node without configuration calls."""
+    from bvh_ros.ros import compile_jobs
     from bvh_ros.ros.cdr import marker_array
-    from bvh_ros.ros.compile_jobs import Job, Needs, jobs
     from bvh_ros.ros.sources import SOURCE_TYPES
 
     decode = partial(marker_array.read, marker_array.EMPTY)
     kinds = SOURCE_TYPES['MarkerArray'].kinds
-    return [
-        *jobs(Needs(planar=False, margin=0.0, kinds=kinds, batch=True)),
-        Job('decode markers', 'decode markers', 2.0, decode, early=True),
-    ]
+    needs = compile_jobs.Needs(planar=False, margin=0.0, kinds=kinds, batch=True)
+    markers = compile_jobs.Job('decode markers', 'decode markers', 2.0, decode, early=True)
+    return [*compile_jobs.jobs(needs), markers]
 
 
-def measure(**environment: str) -> list[Entry]:
+def compile_apart(**environment: str) -> list[Entry]:
     """Compile in a new process; return its kernels, the slowest first."""
-    ended = subprocess.run(
-        [sys.executable, '-c', f'from {__name__} import print_kernels; print_kernels()'],
-        env={**os.environ, **environment},
-        stdout=subprocess.PIPE,
-        text=True,
-        check=True,
-    )
-    entries = [Entry(*json.loads(line)) for line in ended.stdout.splitlines()]
+    program = f"""
+import json
+import math
+from {__name__} import *
+for job in default_jobs():
+    job.run()
+print(json.dumps(compiled()))
+"""
+    entries = [Entry(*columns) for columns in json.loads(printed(program, **environment))]
     return sorted(entries, key=lambda entry: -entry.seconds)
 
 
@@ -182,15 +184,3 @@ def compiled() -> list[Entry]:
                 times = (timers.get(lock, 0.0) for lock in ('compiler_lock', 'llvm_lock'))
                 found.append(Entry(name, str(signature), *times))
     return found
-
-
-def print_kernels() -> None:
-    """Compile, and print."""
-    for job in default_jobs():
-        job.run()
-    for entry in compiled():
-        print(json.dumps(entry))
-
-
-if __name__ == '__main__':
-    print(json.dumps(main(Configuration(**json.loads(sys.argv[1])))))

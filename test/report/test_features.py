@@ -4,8 +4,7 @@
 
 import pytest
 
-from bvh_ros.report.features import run_apart
-from bvh_ros.report.workload import Configuration
+from bvh_ros.report.workload import Configuration, run_apart
 
 BOXES = 200
 
