@@ -14,7 +14,7 @@ from rclpy.node import Node
 from rclpy.task import Future
 
 from bvh_ros.client import messages
-from bvh_ros.client.messages import UPRIGHT, Batch, Clearances, Hit, Sweeps, length, place, request
+from bvh_ros.client.messages import Batch, Clearances, Hit, Sweeps, length, place, request
 from bvh_ros.client.node import OneNode
 from bvh_ros.client.waiting import Waiting
 from bvh_ros.ros.conversions.query_clouds import (
@@ -26,6 +26,7 @@ from bvh_ros.ros.conversions.query_clouds import (
     PathHits,
     Touched,
 )
+from bvh_ros.ros.conversions.rotations import IDENTITY as UPRIGHT
 from bvh_ros.scene import Shapes
 from bvh_ros.tree.access import checks
 

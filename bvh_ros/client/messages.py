@@ -10,23 +10,22 @@ from importlib import import_module
 from typing import Any, NamedTuple
 
 import numpy as np
-from builtin_interfaces.msg import Time
 from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Path
 from nav_msgs.srv import GetPlan
 from numpy.typing import ArrayLike, DTypeLike, NDArray
 
 from bvh_ros.ros.conversions import nanoseconds, query_clouds
+from bvh_ros.ros.conversions.plans import ERROR, set_pose
 from bvh_ros.ros.conversions.query_clouds import Boxes, Points, Rays
+from bvh_ros.ros.conversions.rotations import IDENTITY as UPRIGHT
 from bvh_ros.scene import ShapeKind, Shapes
 from bvh_ros.scene.shapes.shape import as_shapes
 from bvh_ros.tree.access import checks, whole_ns
 
-ERROR = 'error: '  # begins the frame_id of a reply that is an error
 COMPILING = 'compiling: '  # begins the reason of a node that will answer soon
 LAST_STAMP = 2**31 * 10**9 - 1  # ns
 LARGEST = float(np.finfo(np.float32).max)
-UPRIGHT = (0.0, 0.0, 0.0, 1.0)
 
 Vector = tuple[float, float, float]
 Floats = NDArray[np.float64]
@@ -73,12 +72,11 @@ def request(
     made = GetPlan.Request(tolerance=tolerance)
     turn = checks.vector('orientation', orientation, 4)
     checks.rotations('orientation', turn[None])
-    made.start = _pose(start, turn.tolist())
-    made.goal = _pose(goal, UPRIGHT)
-    for stamped, name, stamp in ((made.start, 'at', at), (made.goal, 'until', until)):
-        stamped.header.frame_id = frame(frame_id)
-        if stamp is not None:
-            stamped.header.stamp = _time(name, stamp)
+    for stamped, where, orientation, name, time in (
+        (made.start, start, turn.tolist(), 'at', at),
+        (made.goal, goal, UPRIGHT, 'until', until),
+    ):
+        set_pose(stamped, frame(frame_id), _time(name, time), where, orientation)
     return made
 
 
@@ -116,7 +114,10 @@ def handles(obstacles: Iterable[int]) -> NDArray[np.int64]:
         raise ValueError(f'obstacles must be integers: {error}') from None
 
 
-def _time(name: str, stamp: float) -> Time:
+def _time(name: str, stamp: float | None) -> int:
+    """Return a time in ns; 0 is none."""
+    if stamp is None:
+        return 0
     if isinstance(stamp, (float, np.floating)):
         stamp = int(whole_ns(name, np.asarray(stamp)))
     if not checks.is_integer(stamp):
@@ -124,16 +125,7 @@ def _time(name: str, stamp: float) -> Time:
         raise ValueError(f'{name} must be an int (ns) or a float (s), not {shown}')
     if not 0 < stamp <= LAST_STAMP:
         raise ValueError(f'{name} must be above 0 and below 2^31 s, not {stamp} ns')
-    seconds, rest = divmod(int(stamp), 10**9)
-    return Time(sec=seconds, nanosec=rest)
-
-
-def _pose(position: Sequence[float], orientation: Sequence[float]) -> PoseStamped:
-    stamped = PoseStamped()
-    at, turn = stamped.pose.position, stamped.pose.orientation
-    at.x, at.y, at.z = position
-    turn.x, turn.y, turn.z, turn.w = orientation
-    return stamped
+    return int(stamp)
 
 
 def hits(reply: GetPlan.Response) -> list[Hit]:
@@ -282,9 +274,8 @@ def poses(
         made = Path()
         columns = (given.places[some], given.turns[some], times[some])
         for place, turn, stamp in zip(*(column.tolist() for column in columns), strict=True):
-            stamped = _pose(place, turn)
-            stamped.header.stamp.sec, stamped.header.stamp.nanosec = divmod(stamp, 10**9)
-            made.poses.append(stamped)
+            made.poses.append(PoseStamped())
+            set_pose(made.poses[-1], '', stamp, place, turn)
         return made
 
     return Batch('path sweeps' if between else 'paths', given, None, message)

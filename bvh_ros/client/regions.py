@@ -135,24 +135,12 @@ class Nearest:
         self._kind, self._coverage = kind, coverage
         self.unknown = bad.copy()
         """(n,) rows about which a node does not know all."""
-        blank: dict[str, Any] = {
-            't': np.inf,
-            'distances': np.inf,
-            'points': np.nan,
-            'normals': 0.0,
-            'obstacles': FREE,
-            'counts': 0,
-        }
-        self._columns: dict[str, Any] = {
-            name: np.full(
-                (count, 3) if name in ('points', 'normals') else count,
-                blank[name],
-                np.int64 if name in ('obstacles', 'counts') else np.float64,
-            )
-            for name in kind._fields
-        }
+        self._columns: dict[str, Any] = query_clouds.unanswered(kind, count)._asdict()
+        self._columns['obstacles'] = np.full(count, FREE, np.int64)
+        if 'counts' in self._columns:
+            self._columns['counts'] = np.zeros(count, np.int64)
         self._far = 't' if 't' in self._columns else 'distances'
-        self.distances = self._columns[self._far]
+        self.distances = self._columns[self._far] = np.full(count, np.inf)
         self._obstacles, self._points = self._columns['obstacles'], self._columns['points']
         self._ties: list[tuple[Numbers, dict[str, Any]]] = []
 
@@ -209,10 +197,10 @@ class Nearest:
 
     def answer(self) -> Any:
         """Return all rows; the unknown ones as a node writes an UNANSWERED row."""
-        lost = {'t': np.nan, 'distances': np.nan, 'points': np.nan, 'normals': 0.0}
-        for name, column in self._columns.items():
-            column[self.unknown] = lost.get(name, UNANSWERED)
-        return self._kind(**self._columns)
+        answer = self._kind(**self._columns)
+        lost = query_clouds.unanswered(self._kind, int(np.count_nonzero(self.unknown)))
+        query_clouds.put(answer, self.unknown, lost)
+        return answer
 
 
 # ---- Several bvh nodes that share a world, a region each, queried as if they were one

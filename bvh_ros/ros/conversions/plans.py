@@ -100,7 +100,7 @@ class Replies:
         poses = self._poses[: len(hits)]
         for pose, hit in zip(poses, hits, strict=True):
             turn = rotations.from_normal(*hit.normal.tolist())
-            _set_pose(pose, hit.name, hit.stamp, hit.point.tolist(), turn)
+            set_pose(pose, hit.name, hit.stamp, hit.point.tolist(), turn)
         plan.poses = poses
 
 
@@ -110,7 +110,7 @@ def fill_error(plan: Path, request: Any, reason: str, frame_id: str, now: int) -
     at = request.start.pose.position
     place = tuple(c if math.isfinite(c) else 0.0 for c in (at.x, at.y, at.z))
     pose = PoseStamped()
-    _set_pose(pose, ERROR + reason, now, place, rotations.IDENTITY)
+    set_pose(pose, ERROR + reason, now, place, rotations.IDENTITY)
     plan.poses = [pose]
 
 
@@ -119,9 +119,10 @@ def _set_header(header: Header, frame_id: str, stamp: int) -> None:
     header.stamp.sec, header.stamp.nanosec = divmod(stamp, 1_000_000_000)
 
 
-def _set_pose(
+def set_pose(
     stamped: PoseStamped, name: str, stamp: int, place: Sequence[float], turn: rotations.Quaternion
 ) -> None:
+    """Write a pose; `name` is its frame_id, `stamp` in ns."""
     _set_header(stamped.header, name, stamp)
     position, orientation = stamped.pose.position, stamped.pose.orientation
     position.x, position.y, position.z = place
