@@ -16,20 +16,9 @@ from bvh_ros.scene.shapes.shape import unit_quaternions
 
 from .. import DynamicBVH
 from ..scene import Scene, Shapes
+from . import scenes
 from .page import Cell, Page
-from .scenes import (
-    Boxes,
-    Floats,
-    Queries,
-    Question,
-    Questions,
-    of_scene,
-    of_tree,
-    query_edge,
-    spread,
-    uniform_boxes,
-    units,
-)
+from .scenes import Boxes, Floats, Jobs, Queries
 from .timing import Job, interleaved, memory, one_processor
 from .workload import Configuration, run_apart
 
@@ -124,7 +113,7 @@ STEP = 0.1  # m
 Velocities = Floats | None
 
 
-def _tree(boxes: Boxes, velocities: Velocities, queries: Queries) -> Questions:
+def _tree(boxes: Boxes, velocities: Velocities, queries: Queries) -> Jobs:
     tree, steps = DynamicBVH.from_boxes(*boxes), cycle((STEP, 0.0))
     ids = tree.ids()
 
@@ -134,12 +123,13 @@ def _tree(boxes: Boxes, velocities: Velocities, queries: Queries) -> Questions:
             tree.set_velocities(ids, velocities)
 
     refresh()
-    return {**of_tree(tree, queries), 'all updated': Question(refresh, (), len(ids))}
+    timed = velocities is not None
+    return {**scenes.of_tree(tree, queries, timed), 'all updated': Job(refresh, len(ids))}
 
 
 def _scene(
     shapes: Shapes, velocities: Velocities, queries: Queries, max_prediction: float = np.inf
-) -> Questions:
+) -> Jobs:
     scene, names = Scene(max_prediction=max_prediction), [f'b{i}' for i in range(len(shapes.kind))]
     turns = cycle((shapes._replace(position=shapes.position + STEP), shapes))
 
@@ -147,7 +137,11 @@ def _scene(
         scene.update('report', names, next(turns), stamp=0, velocities=velocities)
 
     update()
-    return {**of_scene(scene, names, queries), 'all updated': Question(update, (), len(names))}
+    timed = velocities is not None
+    return {
+        **scenes.of_scene(scene, names, queries, timed),
+        'all updated': Job(update, len(names)),
+    }
 
 
 def times(page: Page, brief: bool) -> None:
@@ -157,9 +151,12 @@ def times(page: Page, brief: bool) -> None:
     or box, without velocities and with them.
     """
     rng = np.random.default_rng(7)
-    boxes, starts = uniform_boxes(200 if brief else BOXES, rng), spread(50 if brief else ROWS, rng)
+    boxes, starts = (
+        scenes.uniform_boxes(200 if brief else BOXES, rng),
+        scenes.spread(50 if brief else ROWS, rng),
+    )
     slow, directions = SPEED * rng.normal(size=boxes.lo.shape), rng.normal(size=starts.shape)
-    reach, directions = query_edge(boxes, 0.5) / 2, LENGTH * units(directions)
+    reach, directions = scenes.query_edge(boxes, 0.5) / 2, LENGTH * scenes.units(directions)
     small = Boxes(starts - reach, starts + reach)
     lines = starts, directions, starts + directions
     queries = Queries(*lines, 1.0, small, directions, RADIUS, CALLS, (0, 1, 16))
@@ -168,7 +165,7 @@ def times(page: Page, brief: bool) -> None:
         boxes.centers, boxes.edges, unit_quaternions(rng.normal(size=(len(slow), 4)))
     )
     fast, along = FAST / SPEED * slow, np.array(ALONG) + OF_SPEED * slow
-    worlds: dict[str, tuple[Callable[..., Questions], Any, Floats]] = {
+    worlds: dict[str, tuple[Callable[..., Jobs], Any, Floats]] = {
         'tree': (_tree, boxes, slow),
         'scene': (_scene, still, slow),
         'scene, turned boxes': (_scene, turned, slow),
@@ -181,9 +178,9 @@ def times(page: Page, brief: bool) -> None:
     rows: list[list[Cell]] = []
     for world, (make, obstacles, velocities) in worlds.items():
         rest, then = make(obstacles, None, queries), make(obstacles, velocities, queries)
-        jobs = dict[str, Job]()
+        jobs = Jobs()
         for name in then:
-            jobs |= {f'at rest: {name}': rest[name].job(), f'then: {name}': then[name].job(True)}
+            jobs |= {f'at rest: {name}': rest[name], f'then: {name}': then[name]}
         with one_processor():
             found = interleaved(jobs, 2 if brief else REPEATS)
         for name in then:

@@ -10,23 +10,10 @@ import numpy as np
 
 from .. import DynamicBVH
 from ..scene import Mesh, Scene, Shapes
+from . import scenes
 from .libraries import COAL, EMBREE, LIBRARIES, OURS, Library, Rows, embree_scene
 from .page import BLUE, ORANGE, RED, Cell, Page
-from .scenes import (
-    EDGE,
-    Boxes,
-    Floats,
-    Queries,
-    Rays,
-    incoherent_rays,
-    of_scene,
-    of_tree,
-    query_edge,
-    spread,
-    uniform_boxes,
-    units,
-    wavy_ring,
-)
+from .scenes import EDGE, Boxes, Floats, Queries, Rays
 from .timing import Job, each, interleaved, one_processor, repeated
 
 # ---- All libraries on the same work
@@ -49,15 +36,17 @@ class Work(NamedTuple):
 def make_work(count: int, queries: int) -> Work:
     """Make a scene of `count` boxes, and so many rays, small boxes and points."""
     rng = np.random.default_rng(0)
-    boxes, rays = uniform_boxes(count, rng), incoherent_rays(queries, rng)
-    corner, points = spread(queries, rng), spread(queries, rng)
+    boxes, rays = scenes.uniform_boxes(count, rng), scenes.incoherent_rays(queries, rng)
+    corner, points = scenes.spread(queries, rng), scenes.spread(queries, rng)
     away = boxes.moved(rng.uniform(-1, 1, boxes.lo.shape) * boxes.edges)
     jumps = []
     for _ in range(8):
         rows = np.sort(rng.choice(count, max(1, count // SOME), replace=False))
-        half, centers = boxes.edges[rows] / 2, spread(len(rows), rng)
+        half, centers = boxes.edges[rows] / 2, scenes.spread(len(rows), rng)
         jumps.append((rows, Boxes(centers - half, centers + half)))
-    return Work(boxes, rays, Boxes(corner, corner + query_edge(boxes, 0.5)), points, away, jumps)
+    return Work(
+        boxes, rays, Boxes(corner, corner + scenes.query_edge(boxes, 0.5)), points, away, jumps
+    )
 
 
 class Task(NamedTuple):
@@ -204,7 +193,9 @@ def scan(rows: int, beams: int, place: float) -> Batch:
 
 def every_batch(brief: bool) -> Iterator[tuple[str, list[Batch]]]:
     """By kind, in every size: batches of other rays that take turns."""
-    origins, directions = incoherent_rays(200 if brief else BATCH_RAYS, np.random.default_rng(3))
+    origins, directions = scenes.incoherent_rays(
+        200 if brief else BATCH_RAYS, np.random.default_rng(3)
+    )
     beyond = np.add(origins, (0.0, 0.0, 2.0 * EDGE))
     kinds = {
         ANYWHERE: Batch(origins, directions),
@@ -232,9 +223,9 @@ def batches(page: Page, brief: bool) -> None:
         return
     rows: list[list[Cell]] = []
     for size in (300,) if brief else BATCH_BOXES:
-        boxes = uniform_boxes(size, np.random.default_rng(0))
+        boxes = scenes.uniform_boxes(size, np.random.default_rng(0))
         tree, scene = DynamicBVH.from_boxes(*boxes), EMBREE.build(EMBREE.prepare(boxes))
-        tree.raycast_many(*incoherent_rays(max(size, 100), np.random.default_rng(1)))
+        tree.raycast_many(*scenes.incoherent_rays(max(size, 100), np.random.default_rng(1)))
         for kind, turns in every_batch(brief):
             times = _batch_times(tree, scene, turns, brief)
             ratios = [times[0] / time for time in times[1:]]
@@ -295,15 +286,20 @@ def calls(page: Page, brief: bool) -> None:
     """
     size, count, repeats = (300, 20, 3) if brief else (CALL_BOXES, CALLS, CALL_REPEATS)
     rng = np.random.default_rng(1)
-    boxes, (starts, directions) = uniform_boxes(size, rng), incoherent_rays(count, rng)
-    corner, goals = spread(count, rng), starts + EDGE * directions
-    small = Boxes(corner, corner + query_edge(boxes, 0.5))
+    boxes, (starts, directions) = (
+        scenes.uniform_boxes(size, rng),
+        scenes.incoherent_rays(count, rng),
+    )
+    corner, goals = scenes.spread(count, rng), starts + EDGE * directions
+    small = Boxes(corner, corner + scenes.query_edge(boxes, 0.5))
     queries = Queries(starts, directions, goals, np.inf, small, small.edges, 0.0, count, [1])
-    tree, names = DynamicBVH.from_boxes(*boxes), [f'box{row}' for row in range(size)]
-    scene = Scene()
-    scene.update('report', names, Shapes.boxes(boxes.centers, boxes.edges), stamp=0)
-    rooms = {'tree': of_tree(tree, queries), 'scene': of_scene(scene, names, queries)}
-    ours = {f'{room}: {name}': q.job() for room, some in rooms.items() for name, q in some.items()}
+    tree, names = DynamicBVH.from_boxes(*boxes), [str(row) for row in range(size)]
+    scene = scenes.scene_of(Shapes.boxes(boxes.centers, boxes.edges))
+    rooms = {
+        'tree': scenes.of_tree(tree, queries),
+        'scene': scenes.of_scene(scene, names, queries),
+    }
+    ours = {f'{room}: {name}': job for room, some in rooms.items() for name, job in some.items()}
     ours |= _changes(boxes, count, scene, names)
     rows = beside(ours, _peer_jobs(boxes, queries), repeats)
     page.table(
@@ -406,7 +402,7 @@ def meshes(page: Page, brief: bool) -> None:
     count, queries, repeats = (50, 20, 3) if brief else (MESH_RAYS, MESH_QUERIES, MESH_REPEATS)
     rows: list[list[Cell]] = []
     for grid in ((8, 6),) if brief else GRIDS:
-        vertices, faces = wavy_ring(*grid)
+        vertices, faces = scenes.wavy_ring(*grid)
         found = beside(*_mesh_jobs(vertices, faces, count, queries), repeats)
         rows += [[len(faces), *row] for row in found]
     columns = ['triangles', 'work', 'us', 'beside', 'us there', 'ours / this']
@@ -418,14 +414,13 @@ def _mesh_jobs(
 ) -> tuple[dict[str, Job], Peers]:
     """The work on a mesh."""
     rng, mesh, extent = np.random.default_rng(0), Mesh(vertices, faces), abs(vertices).max(axis=0)
-    scene = Scene()
-    scene.update('report', ['ring'], Shapes.of_meshes(mesh, np.zeros((1, 3))), stamp=0)
-    origins = 3.0 * units(rng.normal(size=(count, 3)))
+    scene = scenes.scene_of(Shapes.of_meshes(mesh, np.zeros((1, 3))))
+    origins = 3.0 * scenes.units(rng.normal(size=(count, 3)))
     directions = rng.uniform(-extent, extent, (count, 3)) - origins
     some = slice(0, queries)
     points, centres = rng.uniform(-3, 3, (2, queries, 3)) * extent
-    centres = units(centres) * rng.uniform(1.5, 3.5, (queries, 1))
-    turns = units(rng.normal(size=(queries, 4)))
+    centres = scenes.units(centres) * rng.uniform(1.5, 3.5, (queries, 1))
+    turns = scenes.units(rng.normal(size=(queries, 4)))
     edges = np.full((queries, 3), 0.3)
     boxes = Shapes.boxes(centres, edges, turns)
     balls = Shapes.spheres(centres, np.full(queries, 0.2))
@@ -455,7 +450,9 @@ def _mesh_jobs(
 def _pose_job(shapes: Callable[[Floats, Floats], Shapes], rng: np.random.Generator) -> Job:
     """New poses for all of many obstacles."""
     scene, names = Scene(), [f'one{row}' for row in range(POSES)]
-    poses = [(spread(POSES, rng), units(rng.normal(size=(POSES, 4)))) for _ in range(4)]
+    poses = [
+        (scenes.spread(POSES, rng), scenes.units(rng.normal(size=(POSES, 4)))) for _ in range(4)
+    ]
     turns = cycle([shapes(*pose) for pose in poses])
 
     def run() -> None:

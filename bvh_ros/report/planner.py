@@ -18,7 +18,7 @@ from ..scene.shapes.shape import rotations, unit_quaternions
 from .error.methods import COLOURS, LETTERS, scale
 from .libraries import COAL, FCL, Library, collision_objects
 from .page import Cell, Page
-from .scenes import Boxes, Floats, spread, uniform_boxes, units
+from .scenes import Boxes, Floats, scene_of, spread, uniform_boxes, units
 from .timing import Job, alone, interleaved, one_processor, repeated
 
 BOXES, ROWS, REPEATS = 10_000, (1, 100, 10_000), 7
@@ -47,8 +47,7 @@ class Poses(NamedTuple):
 
 def questions(boxes: Boxes, starts: Floats, goals: Floats, turns: Floats) -> dict[str, Question]:
     """By name."""
-    scene, names = Scene(), [f'box{row}' for row in range(len(boxes.lo))]
-    scene.update('report', names, Shapes.boxes(boxes.centers, boxes.edges), stamp=0)
+    scene = scene_of(Shapes.boxes(boxes.centers, boxes.edges))
     small, large = (Shapes.boxes(starts, size, turns) for size in (SIZE, LARGE))
     return {
         'thin rays': Question(lambda k: scene.sweep_many(starts[k], goals[k]).t),
@@ -224,13 +223,12 @@ class World(NamedTuple):
 
 def world(brief: bool, times: int = 1) -> tuple[World, Edges]:
     """Turned boxes and edges, so many times as many."""
-    rng, scene = np.random.default_rng(7), Scene()
+    rng = np.random.default_rng(7)
     boxes = uniform_boxes(300 if brief else BOXES, rng)
     half = boxes.edges * (0.5 * DENSER)
     boxes = Boxes(boxes.centers - half, boxes.centers + half)
     turned = unit_quaternions(rng.normal(size=(len(boxes.lo), 4)))
-    names = [f'box{row}' for row in range(len(boxes.lo))]
-    scene.update('report', names, Shapes.boxes(boxes.centers, boxes.edges, turned), stamp=0)
+    scene = scene_of(Shapes.boxes(boxes.centers, boxes.edges, turned))
     count = times * (100 if brief else EDGES)
     starts, turns = spread(3 * count, rng), unit_quaternions(rng.normal(size=(3 * count, 4)))
     free = ~scene.overlap_shape_many(SHAPE, starts, turns)
@@ -306,7 +304,7 @@ def of_fcl(world: World, edges: Edges) -> Callable[[], Floats]:
     reach = np.abs(edges.goals - edges.starts) + 2.0 * ARM
     middle = (edges.starts + edges.goals) / 2.0
     offsets, handles = scene.overlap_many(middle, reach, want='all')
-    rows = [int(scene.name_of(int(handle))[3:]) for handle in handles]
+    rows = [int(scene.name_of(int(handle))) for handle in handles]
     still = [obstacle.getTransform() for obstacle in obstacles]
     items = []
     for i in range(len(middle)):

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.optimize import brentq
 
 from .. import DynamicBVH
-from ..scene import Scene, Shapes
+from ..scene import Numbered, Scene, ShapeKind, Shapes
 from ..scene.shapes.shape import unit_quaternions
 from .timing import Job, each
 
@@ -87,6 +87,15 @@ def query_edge(boxes: Boxes, hits: float) -> float:
     return float(brentq(too_many, 0.0, EDGE, xtol=1e-12))
 
 
+def some_shapes(count: int, rng: np.random.Generator) -> Shapes:
+    """A half turned boxes, a quarter spheres, a quarter cylinders."""
+    kind = rng.permutation(np.resize([0, 1, 0, 2], count)).astype(np.uint8)
+    size = rng.uniform(0.3, 1.7, (count, 3)) * (0.02 * EDGE**3 / count) ** (1 / 3)
+    size[kind == ShapeKind.CYLINDER, 1] = size[kind == ShapeKind.CYLINDER, 0]
+    size[kind == ShapeKind.SPHERE] = size[kind == ShapeKind.SPHERE, :1]
+    return Shapes(kind, spread(count, rng), unit_quaternions(rng.normal(size=(count, 4))), size)
+
+
 def wavy_ring(around: int, across: int) -> tuple[Floats, NDArray[np.int32]]:
     """Vertices, m, and faces of a solid ring with waves, two triangles a field of the grid."""
     u = np.arange(around)[:, None] * (2 * np.pi / around)
@@ -101,29 +110,27 @@ def wavy_ring(around: int, across: int) -> tuple[Floats, NDArray[np.int32]]:
     return np.stack(parts, axis=2).reshape(-1, 3), faces.reshape(-1, 3).astype(np.int32)
 
 
+def scene_of(shapes: Shapes) -> Scene:
+    """A scene of these shapes; their names are the rows, the node handles are one more."""
+    scene = Scene()
+    refused = scene.update('report', Numbered('', np.arange(len(shapes.kind))), shapes, stamp=0)
+    if refused:
+        raise ValueError(f'a shape was refused: {refused[0]}')
+    return scene
+
+
 # ---- Queries of a tree and of a scene by name: single calls, small and large batches
 
 
 SECOND = 10**9
 BALL = 0.2  # m, radius of single calls
-PACED, THEN = {'at': 0.0, 'pace': 1.0}, {'at': 1.0}  # a ray starts at 0 s; 1 s later
-TOGETHER, LATER = {'at': 0, 'until': SECOND}, {'at': SECOND}  # a segment takes a second
-
-
-class Question(NamedTuple):
-    """A query of a tree or scene."""
-
-    ask: Callable[..., object]
-    arguments: tuple[Any, ...]
-    units: int = 0  # rows of a batch; 0: it is called with each row of the arguments
-    times: dict[str, Any] | None = None  # the arguments that name another time
-
-    def job(self, timed: bool = False) -> Job:
-        """With or without another time."""
-        ask = partial(self.ask, **self.times) if timed and self.times else self.ask
-        if self.units:
-            return Job(partial(ask, *self.arguments), self.units)
-        return each(ask, *self.arguments)
+Times = dict[str, Any]
+NOW: Times = {}
+PACED: Times = {'at': 0.0, 'pace': 1.0}  # a ray starts at 0 s
+THEN: Times = {'at': 1.0}
+TOGETHER: Times = {'at': 0, 'until': SECOND}  # a segment takes a second
+LATER: Times = {'at': SECOND}
+Jobs = dict[str, Job]
 
 
 class Queries(NamedTuple):
@@ -140,17 +147,13 @@ class Queries(NamedTuple):
     batches: Sequence[int]  # rows of a batch; 0: all
 
 
-Questions = dict[str, Question]
-
-
-def _batches(
-    queries: Queries, ask: Callable[..., object], *arguments: Any, times: Any = None
-) -> Questions:
+def _batches(queries: Queries, ask: Callable[..., object], *arguments: Any, **times: Any) -> Jobs:
     """Batches of several sizes; arrays have a row a query, other arguments are for all."""
-    found, count = {}, len(arguments[0])
+    found, count, name = Jobs(), len(arguments[0]), ask.__name__
+    ask = partial(ask, **times)
     for rows in queries.batches:
         if not rows:
-            found[ask.__name__] = Question(ask, arguments, count, times)
+            found[name] = Job(partial(ask, *arguments), count)
             continue
         calls = min(count // rows, queries.calls)
         parts = [
@@ -159,54 +162,55 @@ def _batches(
             else [part] * calls
             for part in arguments
         ]
-        found[f'{ask.__name__}, {rows} a call'] = Question(ask, tuple(parts), 0, times)
+        found[f'{name}, {rows} a call'] = each(ask, *parts)
     return found
 
 
-def of_tree(tree: DynamicBVH, queries: Queries) -> Questions:
-    """Queries of a tree."""
+def of_tree(tree: DynamicBVH, queries: Queries, timed: bool = False) -> Jobs:
+    """Queries of a tree; `timed`: about another time."""
+    paced, then = (PACED, THEN) if timed else (NOW, NOW)
     few = slice(queries.calls)
     starts, directions, small, batches = *queries[:2], queries.small, partial(_batches, queries)
     rays = starts[few], directions[few], [queries.t_max] * len(starts[few])
     boxes = small.lo[few], small.hi[few]
     return {
-        'raycast': Question(tree.raycast, rays, 0, PACED),
-        'occluded': Question(tree.occluded, rays, 0, PACED),
-        'overlap': Question(tree.overlap, boxes, 0, THEN),
-        'nearest': Question(tree.nearest, rays[:1], 0, THEN),
-        'boxcast': Question(tree.boxcast, (*boxes, queries.sweeps[few]), 0, PACED),
-        **batches(tree.raycast_many, starts, directions, queries.t_max, times=PACED),
-        **batches(tree.occluded_many, starts, directions, queries.t_max, times=PACED),
-        **batches(tree.raycast_all_many, starts, directions, queries.t_max, times=PACED),
-        **batches(tree.overlap_many, *small, times=THEN),
-        **batches(tree.nearest_many, starts, times=THEN),
+        'raycast': each(partial(tree.raycast, **paced), *rays),
+        'occluded': each(partial(tree.occluded, **paced), *rays),
+        'overlap': each(partial(tree.overlap, **then), *boxes),
+        'nearest': each(partial(tree.nearest, **then), starts[few]),
+        'boxcast': each(partial(tree.boxcast, **paced), *boxes, queries.sweeps[few]),
+        **batches(tree.raycast_many, starts, directions, queries.t_max, **paced),
+        **batches(tree.occluded_many, starts, directions, queries.t_max, **paced),
+        **batches(tree.raycast_all_many, starts, directions, queries.t_max, **paced),
+        **batches(tree.overlap_many, *small, **then),
+        **batches(tree.nearest_many, starts, **then),
     }
 
 
-def of_scene(scene: Scene, names: list[str], queries: Queries) -> Questions:
-    """Queries of a scene with obstacles of these names."""
+def of_scene(scene: Scene, names: list[str], queries: Queries, timed: bool = False) -> Jobs:
+    """Queries of a scene with obstacles of these names; `timed`: about another time."""
+    together, later = (TOGETHER, LATER) if timed else (NOW, NOW)
     few = slice(queries.calls)
     starts, directions, goals, batches = *queries[:3], partial(_batches, queries)
     ends, boxes = (starts[few], goals[few]), (queries.small.lo[few], queries.small.hi[few])
     radii = [BALL] * len(ends[0])
     turns = unit_quaternions(np.random.default_rng(1).normal(size=(len(ends[0]), 4)))
     size = tuple(queries.small.edges[0].tolist())
-    shapes = Shapes.boxes(ends[0], size)
+    shapes, clearance = Shapes.boxes(ends[0], size), partial(scene.clearance_many, **later)
     each_shape = [shapes.take([row]) for row in range(len(shapes.kind))]
     found = {
-        'raycast': Question(scene.raycast, ends, 0, TOGETHER),
-        'swept ball': Question(scene.raycast, (*ends, radii), 0, TOGETHER),
-        'overlap': Question(scene.overlap, boxes, 0, LATER),
-        'turned overlap': Question(scene.overlap, (*boxes, turns), 0, LATER),
-        'nearest': Question(scene.nearest, ends[:1], 0, LATER),
-        'clearance': Question(scene.clearance, (names[few],), 0, LATER),
-        **batches(scene.raycast_many, starts, directions, queries.t_max, times=TOGETHER),
-        **batches(scene.sweep_many, starts, goals, queries.radius, times=TOGETHER),
-        **batches(scene.overlap_many, starts, size, times=LATER),
-        **batches(scene.nearest_many, starts, times=LATER),
-        'clearance_many, 1 a call': Question(scene.clearance_many, (each_shape,), 0, LATER),
+        'raycast': each(partial(scene.raycast, **together), *ends),
+        'swept ball': each(partial(scene.raycast, **together), *ends, radii),
+        'overlap': each(partial(scene.overlap, **later), *boxes),
+        'turned overlap': each(partial(scene.overlap, **later), *boxes, turns),
+        'nearest': each(partial(scene.nearest, **later), ends[0]),
+        'clearance': each(partial(scene.clearance, **later), names[few]),
+        **batches(scene.raycast_many, starts, directions, queries.t_max, **together),
+        **batches(scene.sweep_many, starts, goals, queries.radius, **together),
+        **batches(scene.overlap_many, starts, size, **later),
+        **batches(scene.nearest_many, starts, **later),
+        'clearance_many, 1 a call': each(clearance, each_shape),
     }
     if 0 in queries.batches:
-        many = Question(scene.clearance_many, (shapes,), len(shapes.kind), LATER)
-        found['clearance_many'] = many
+        found['clearance_many'] = Job(partial(clearance, shapes), len(shapes.kind))
     return found

@@ -17,12 +17,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from .. import DynamicBVH
-from ..scene import Mesh, Scene, Shapes
+from ..scene import Mesh, Shapes
 from .error.meshes import surface_of, watertight
 from .error.truth import brute_force, enter_box, exact, root
 from .error.worlds import corner_rays
 from .page import Page
-from .scenes import Boxes, Floats, Rays, units
+from .scenes import Boxes, Floats, Rays, scene_of, units
 
 # ---- A case: one row of the table
 
@@ -415,8 +415,7 @@ def mesh_cases() -> Iterable[Case]:
         sides = ((cell * edge, (cell + 1) * edge) for cell in cells)
         entries = [exact_entry(lo.tolist(), hi.tolist(), start, ahead) for lo, hi in sides]
         entry = min((entry for entry in entries if entry is not None), default=None)
-        scene = Scene()
-        scene.update('report', ['L'], Shapes.of_meshes([Mesh(corners)], [[0.0, 0.0, 0.0]]))
+        scene = scene_of(Shapes.of_meshes(Mesh(corners), np.zeros((1, 3))))
         answers = set()
         for count in (1, COPIES):
             hits = scene.raycast_many(np.tile(start, (count, 1)), np.tile(ahead, (count, 1)))

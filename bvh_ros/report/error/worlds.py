@@ -8,13 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from bvh_ros.scene.shapes.shape import unit_quaternions
-
 from ... import DynamicBVH
-from ...scene import NO_NODE, CastHits, Numbered, Scene, ShapeKind, Shapes
+from ...scene import NO_NODE, CastHits, ShapeKind, Shapes
 from ...scene.shapes.shape import as_shapes, canonicalise
+from .. import scenes
 from ..page import Page
-from ..scenes import EDGE, Boxes, Floats, Rays, incoherent_rays, spread, uniform_boxes, units
+from ..scenes import Boxes, Floats, Rays
 from .methods import MEAN, WRONG, Method, World, batch, box_methods, compare
 from .truth import NOTHING, Answer, boxes_truth, shapes_truth
 
@@ -41,14 +40,14 @@ def cubes(path: Path) -> Boxes:
 def shapes_by_scene(path: Path) -> dict[str, Shapes]:
     """Boxes and cylinders of each planning scene."""
     every = table(path)
-    scenes = {}
+    found = {}
     for name in dict.fromkeys(every['scene'].tolist()):
         rows = every[every['scene'] == name]
         kinds = np.array([ShapeKind[kind.upper()] for kind in rows['shape']], np.uint8)
         names = ('cx cy cz', 'qx qy qz qw', 'sx sy sz')
         position, orientation, size = (columns(rows, some) for some in names)
-        scenes[name] = Shapes(kinds, position, orientation, size)
-    return scenes
+        found[name] = Shapes(kinds, position, orientation, size)
+    return found
 
 
 # ---- Axis-aligned boxes: random, adversarial, and a real scan in a real building
@@ -61,7 +60,7 @@ def random_scene(page: Page, brief: bool) -> None:
     """10,000 boxes that fill 2 % of a cube of 100 m, 20,000 rays."""
     rng = np.random.default_rng(1)
     count, many = (300, 200) if brief else (10_000, 20_000)
-    boxes, rays = uniform_boxes(count, rng), incoherent_rays(many, rng)
+    boxes, rays = scenes.uniform_boxes(count, rng), scenes.incoherent_rays(many, rng)
     _compare_boxes(page, brief, 'random', 'Random boxes, random rays', boxes, rays)
 
 
@@ -114,7 +113,7 @@ def building_scene(page: Page, brief: bool) -> None:
     boxes, free = cubes(files[0]), cubes(files[1])
     stand = np.random.default_rng(3).choice(len(free.lo), places, replace=False)
     ends = columns(table(files[2]), 'ex ey ez')
-    directions = units(ends)[np.linspace(0, len(ends) - 1, beams).astype(int)]
+    directions = scenes.units(ends)[np.linspace(0, len(ends) - 1, beams).astype(int)]
     rays = Rays(np.repeat(free.centers[stand], beams, axis=0), np.tile(directions, (places, 1)))
     _compare_boxes(page, brief, 'building', 'Freiburg 079, real scan', boxes, rays)
 
@@ -136,18 +135,9 @@ def random_shapes(page: Page, brief: bool) -> None:
     """
     rng = np.random.default_rng(4)
     count, many = (100, 200) if brief else (3_000, 5_000)
-    world = some_shapes(count, rng), incoherent_rays(many, rng)
+    world = scenes.some_shapes(count, rng), scenes.incoherent_rays(many, rng)
     title = f'Random shapes: {count:,} shapes, {many:,} rays'
     _compare_shapes(page, brief, 'shapes', title, [world])
-
-
-def some_shapes(count: int, rng: np.random.Generator) -> Shapes:
-    """A half turned boxes, a quarter spheres, a quarter cylinders."""
-    kind = rng.permutation(np.resize([0, 1, 0, 2], count)).astype(np.uint8)
-    size = rng.uniform(0.3, 1.7, (count, 3)) * (0.02 * EDGE**3 / count) ** (1 / 3)
-    size[kind == ShapeKind.CYLINDER, 1] = size[kind == ShapeKind.CYLINDER, 0]
-    size[kind == ShapeKind.SPHERE] = size[kind == ShapeKind.SPHERE, :1]
-    return Shapes(kind, spread(count, rng), unit_quaternions(rng.normal(size=(count, 4))), size)
 
 
 def shelves(page: Page, brief: bool) -> None:
@@ -159,8 +149,8 @@ def shelves(page: Page, brief: bool) -> None:
     if page.misses([path]):
         return
     rng, many = np.random.default_rng(5), 20 if brief else 500
-    scenes = shapes_by_scene(path).values()
-    worlds = [(shapes, rays_round(shapes, many, rng)) for shapes in scenes]
+    several = shapes_by_scene(path).values()
+    worlds = [(shapes, rays_round(shapes, many, rng)) for shapes in several]
     title = f'Shelves and tables: {len(worlds)} scenes, {many * len(worlds):,} rays'
     _compare_shapes(page, brief, 'shelves', title, worlds)
 
@@ -170,8 +160,8 @@ def rays_round(shapes: Shapes, count: int, rng: np.random.Generator) -> Rays:
     boxes = bounds_of(shapes)
     lo, hi = boxes.lo.min(axis=0), boxes.hi.max(axis=0)
     targets = rng.uniform(lo, hi, (count, 3))
-    origins = (lo + hi) / 2 + 1.5 * units(rng.normal(size=(count, 3)))
-    return Rays(origins, units(targets - origins))
+    origins = (lo + hi) / 2 + 1.5 * scenes.units(rng.normal(size=(count, 3)))
+    return Rays(origins, scenes.units(targets - origins))
 
 
 def bounds_of(shapes: Shapes) -> Boxes:
@@ -181,11 +171,8 @@ def bounds_of(shapes: Shapes) -> Boxes:
 
 
 def true_shapes(shapes: Shapes, rays: Rays) -> Method:
-    """First hits in a scene of these shapes: the node handles are the rows, and one more."""
-    scene = Scene()
-    refused = scene.update('report', Numbered('', np.arange(len(shapes.kind))), shapes, stamp=0)
-    if refused:
-        raise ValueError(f'a shape was refused: {refused[0]}')
+    """First hits in a scene of these shapes."""
+    scene = scenes.scene_of(shapes)
 
     def answer(hits: CastHits) -> Answer:
         rows = np.where(hits.handles == NO_NODE, NOTHING, hits.handles.astype(np.int64) - 1)
