@@ -49,13 +49,17 @@ def rays(
     return _map(query, (*_same_blocks(ndim, **columns), *rest), outputs)
 
 
-def nearest(query: Query, ndim: int, k: int, points: Any, max_distance: Any, mask: Any) -> Any:
+def nearest(
+    query: Query, ndim: int, k: int, points: Any, max_distance: Any, mask: Any
+) -> tuple[Any, Any]:
     """`Forest.nearest_many`; ids and distances are dask arrays."""
     where, reach, masks = _same_blocks(ndim, points=points, max_distance=max_distance, mask=mask)
-    return _map(query, (where, k, reach, masks), (((k,), np.int64), ((k,), np.float64)))
+    outputs = ((k,), np.int64), ((k,), np.float64)
+    ids, distances = _map(query, (where, k, reach, masks), outputs)
+    return ids, distances
 
 
-def overlap(query: Query, ndim: int, threads: int, **columns: Any) -> Any:
+def overlap(query: Query, ndim: int, threads: int, **columns: Any) -> tuple[Any, Any]:
     """`Forest.overlap_many`; offsets and ids are dask arrays, the ids in blocks of sizes that are
     known once they are computed.
     """

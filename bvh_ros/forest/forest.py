@@ -209,10 +209,7 @@ class Forest:
         threads = checks.whole('threads', threads, 1)
         if dask_rows.are_given(executor, lo, hi, mask):
             columns = {'lo': lo, 'hi': hi, 'mask': mask}
-            both: tuple[Ids, Ids] = dask_rows.overlap(
-                self.overlap_many, self._ndim, threads, **columns
-            )
-            return both
+            return dask_rows.overlap(self.overlap_many, self._ndim, threads, **columns)
         low, high = checks.boxes(lo, hi, self._ndim)
         masks = checks.masks(mask, len(low))
         return queries.overlaps(self._parts_for(executor), low, high, masks, threads)
@@ -228,10 +225,8 @@ class Forest:
         """The k boxes nearest to n points, see `DynamicBVH.nearest_many`: (ids, distances)."""
         k = checks.capacity('k', k)
         if dask_rows.are_given(executor, points, max_distance, mask):
-            both: tuple[Ids, Floats] = dask_rows.nearest(
-                self.nearest_many, self._ndim, k, points, max_distance, mask
-            )
-            return both
+            given = points, max_distance, mask
+            return dask_rows.nearest(self.nearest_many, self._ndim, k, *given)
         where = checks.points('points', points, self._ndim)
         reach = checks.limits('max_distance', max_distance, len(where))
         points = queries.Points(where, reach, checks.masks(mask, len(where)))

@@ -36,19 +36,6 @@ LEAST_DOUBT = 64 * 5e-324
 # ---- one part, in the worker
 
 
-class Part(NamedTuple):
-    """A mapped tree, and the ids of its boxes by slot."""
-
-    tree: OpenTree
-    ids: Ids
-
-    def ids_of(self, handles: Ids) -> Ids:
-        """Ids instead of handles; NONE stays."""
-        ids, boxes = np.full(handles.shape, NONE, np.int64), handles != NONE
-        ids[boxes] = self.ids[self.tree.slots(handles[boxes])]
-        return ids
-
-
 class PartHits(NamedTuple):
     """First hits of rays among the boxes of a part."""
 
@@ -57,6 +44,42 @@ class PartHits(NamedTuple):
     normals: Floats
     handles: Ids
     """By which the part knows the boxes."""
+
+
+class Part(NamedTuple):
+    """A mapped tree, and the ids of its boxes by slot. Its methods are what a part is asked."""
+
+    tree: OpenTree
+    ids: Ids
+
+    def raycast(self, *rays: Any) -> PartHits:
+        """First hits."""
+        handles, t, normals = self.tree.raycast_many(*rays)
+        return PartHits(self._ids_of(handles), t, normals, handles)
+
+    def occluded(self, *rays: Any) -> NDArray[np.bool_]:
+        """Whether rays hit."""
+        return self.tree.occluded_many(*rays)
+
+    def overlap(self, *boxes: Any) -> tuple[Ids, Ids]:
+        """How many boxes each row touches, and the ids of all."""
+        offsets, handles = self.tree.overlap_many(*boxes)
+        return np.diff(offsets), self._ids_of(handles)
+
+    def nearest(self, points: Any, reach: Any, masks: Any, k: int) -> tuple[Ids, Floats]:
+        """Ids and distances of the k boxes nearest to points."""
+        handles, distances = self.tree.nearest_many(points, k, reach, masks)
+        return self._ids_of(handles), distances
+
+    def boxes(self, handles: Ids) -> tuple[Any, Any]:
+        """Corners of boxes."""
+        return self.tree.boxes(handles)
+
+    def _ids_of(self, handles: Ids) -> Ids:
+        """Ids instead of handles; NONE stays."""
+        ids, boxes = np.full(handles.shape, NONE, np.int64), handles != NONE
+        ids[boxes] = self.ids[self.tree.slots(handles[boxes])]
+        return ids
 
 
 @lru_cache(maxsize=OPEN_PARTS)
@@ -72,42 +95,9 @@ def _open(folder: str, number: int, checksum: int) -> Part:
     return Part(tree, ids)
 
 
-def _raycast(part: Part, *rays: Any) -> PartHits:
-    handles, t, normals = part.tree.raycast_many(*rays)
-    return PartHits(part.ids_of(handles), t, normals, handles)
-
-
-def _occluded(part: Part, *rays: Any) -> NDArray[np.bool_]:
-    return part.tree.occluded_many(*rays)
-
-
-def _overlap(part: Part, *boxes: Any) -> tuple[Ids, Ids]:
-    """How many boxes each row touches, and the ids of all."""
-    offsets, handles = part.tree.overlap_many(*boxes)
-    return np.diff(offsets), part.ids_of(handles)
-
-
-def _nearest(part: Part, points: Any, reach: Any, masks: Any, k: int) -> tuple[Ids, Floats]:
-    handles, distances = part.tree.nearest_many(points, k, reach, masks)
-    return part.ids_of(handles), distances
-
-
-def _boxes(part: Part, handles: Ids) -> tuple[Any, Any]:
-    return part.tree.boxes(handles)
-
-
-QUERIES = {
-    'raycast': _raycast,
-    'occluded': _occluded,
-    'overlap': _overlap,
-    'nearest': _nearest,
-    'boxes': _boxes,
-}
-
-
 def ask_part(folder: str, checksum: int, number: int, query: str, *arguments: Any) -> Any:
-    """Answer one of QUERIES about a part."""
-    return QUERIES[query](_open(folder, number, checksum), *arguments)
+    """Answer a question by the method of `Part` of this name."""
+    return getattr(_open(folder, number, checksum), query)(*arguments)
 
 
 # ---- rows and the parts that they meet

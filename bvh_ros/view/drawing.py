@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from bvh_ros.scene import Mesh, ShapeKind, Shapes
 from bvh_ros.scene.shapes.shape import rotations
-from bvh_ros.tree.access import BLOCKED_COLOUR, CORNERS, EDGES, PALETTE
+from bvh_ros.tree.access import BLOCKED_COLOUR, PALETTE
 from bvh_ros.view.worlds import Floats, Overlay
 
 # ---- World coordinates (doubles) and page coordinates (float32)
@@ -286,9 +286,3 @@ class Overlays:
         self._lines.draw(overlay.lines, overlay.colours)
         self._hits.draw(overlay.spots, 0.006 * size)
         self._scan.draw(overlay.scan, 0.004 * size)
-
-
-def edges_of(position: Floats, turn: Floats, size: Floats) -> Floats:
-    """Return the twelve edges (12, 2, 3) of a box that is turned by a rotation matrix."""
-    corners = ((CORNERS - 0.5) * size) @ turn.T + position
-    return corners[EDGES]

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Hashable
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -345,7 +346,7 @@ class Live(ShownWorld):
         name, space = self._name, self._name.rpartition('/')[0] or '/'
         node = rclpy.create_node('bvh_view_start', namespace=space)
         try:
-            _wait_for(BvhClient(node, name), self._waiting)
+            _retry(partial(BvhClient(node, name).wait_until_ready, 0.5), self._waiting)
             parameters = _parameters(node, name)
             heard = Topics(node, name)
             _until(node, heard.sources, name, 'diagnostics')
@@ -398,15 +399,7 @@ class Live(ShownWorld):
         if found and was_there and not found & was_there:
             self.close()
             self._returned += 1
-            self._open_again()
-
-    def _open_again(self) -> None:
-        while True:
-            try:
-                self._open()
-                return
-            except BvhTimeoutError:  # it has ended once more
-                self._waiting()
+            _retry(self._open, self._waiting)  # it may end once more
 
     def want(self, wanted: Wanted) -> None:
         """Subscribe to what the page shows."""
@@ -498,10 +491,11 @@ class Live(ShownWorld):
         self.node.destroy_node()
 
 
-def _wait_for(client: BvhClient, waiting: Callable[[], object]) -> None:
+def _retry(act: Callable[[], object], waiting: Callable[[], object]) -> None:
+    """Do it until the node is there in time."""
     while True:
         try:
-            client.wait_until_ready(timeout=0.5)
+            act()
             return
         except BvhTimeoutError:
             waiting()

@@ -10,8 +10,9 @@ from html import escape
 import numpy as np
 import viser
 
+from bvh_ros.ros.conversions.outlines import edges
 from bvh_ros.scene.shapes.shape import rotations
-from bvh_ros.view.drawing import Lines, Placing, edges_of
+from bvh_ros.view.drawing import Lines, Placing
 from bvh_ros.view.panel import Panel, in_digits, in_words, write
 from bvh_ros.view.stage import LocalServer, Stage
 from bvh_ros.view.worlds import Floats, ShownWorld
@@ -144,4 +145,5 @@ class Picking:
         middle, orientation, size = scene.own_box(self._picked)
         turn = rotations(orientation[None])[0]
         colour = (1.0, 1.0, 1.0) if self._panel.dark.value else (0.1, 0.1, 0.1)
-        self._mark.draw(edges_of(middle, turn, 1.02 * size), np.array([colour] * 12))
+        half = 0.51 * size[None]  # not hidden in its sides
+        self._mark.draw(edges(-half, half) @ turn.T + middle, np.array([colour] * 12))
