@@ -75,7 +75,7 @@ from .nodes import (
     node_dtype,
     slot_of,
 )
-from .plotting import BLOCKED_COLOUR, CORNERS, EDGES, FREE_COLOUR, PALETTE, SIDES
+from .plotting import BLOCKED_COLOUR, CORNERS, FREE_COLOUR, PALETTE, SIDES
 from .query.box_queries import boxes_within
 from .query.exact import two_product, two_sum
 from .query.nearest import (
