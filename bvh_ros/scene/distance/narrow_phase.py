@@ -7,13 +7,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ...tree.access import ALL, NONE, Near, meet_boxes, no_plane32, pruning_limit, set_plane32
+from ...tree.access import ALL, NONE, Near, no_plane32, pruning_limit, set_plane32
 from ...tree.compiler import chosen_by_types, inlined, lean_kernel, stack_array
 from ..shapes.footprint import closest_on_footprint
 from ..shapes.hull import are_any, form_of, hull_of, hull_of_point, surface_of, triangle_hull
 from ..shapes.mesh import CONVEX, SOLID
 from ..shapes.shape import BOX, CAPSULE, CYLINDER, MESH, SPHERE, fill_rotation, rotate, scale_of
 from ..shapes.surface import closest_between, closest_on_surface, holds_point, visit_near
+from ..shapes.triangles32 import Extent
 from .certified import certified_bounds, set_normal
 from .gjk import (
     AXES,
@@ -541,7 +542,9 @@ def fill_own_box(shape, hulls, face, box):
 
 @lean_kernel
 def fill_box_in_frame(pair, box):
-    """Fill in the box (2, 3) around the other shape, or its triangle, in the first one's frame."""
+    """Fill in the box (2, 3) around the other shape, or its triangle, in the first one's frame;
+    return its `Extent`.
+    """
     own, corner = stack_array((2, 3), np.float64), stack_array(3, np.float64)
     fill_own_box(pair.other, pair.other_hulls, pair.face, own)
     size = 0.0
@@ -562,6 +565,40 @@ def fill_box_in_frame(pair, box):
         box[1, axis] += FRAMES * size
     if pair.planar:  # seen from above, heights do not count
         box[0, 2], box[1, 2] = -np.inf, np.inf
+    return extent_of(pair, own, FRAMES * size)
+
+
+@lean_kernel
+def extent_of(pair, own, doubt):
+    """The `Extent` of the other shape, or its triangle, in the snapshot of the first one's mesh.
+    `own` is the box around it in its own frame.
+    """
+    rows, half = stack_array((CORE_ROWS, 3), np.float64), stack_array(3, np.float64)
+    unit = surface_of(pair.hulls, pair.one).wide.per_length
+    is_round, radius = fill_core(pair.other, pair.one.position, 0, False, rows)
+    for axis in range(3):
+        half[axis] = 0.5 * (own[1, axis] - own[0, axis])
+    # The middle of the box around a mesh need not be in the mesh.
+    inner = -length(half) if pair.other.kind == MESH else min(half[0], half[1], half[2])
+    for axis in range(3):
+        half[axis] -= radius
+        rotate(pair.one.orientation, rows[AXES + axis], -1.0)
+    if is_round:  # its axis, grown by the radius of the cylinder
+        radius, half[0], half[1] = half[0], 0.0, 0.0
+    return Extent(
+        times32(rows[AXES], half[0] * unit),
+        times32(rows[AXES + 1], half[1] * unit),
+        times32(rows[AXES + 2], half[2] * unit),
+        np.float32((radius + 4.0 * doubt) * unit),
+        np.float32((inner - 4.0 * doubt) * unit),
+    )
+
+
+@inlined
+def times32(vector, factor):
+    """A vector times a factor, in float32."""
+    one, two, three = vector[0] * factor, vector[1] * factor, vector[2] * factor
+    return np.float32(one), np.float32(two), np.float32(three)
 
 
 class Plane(NamedTuple):
@@ -626,7 +663,7 @@ def lies_apart(pair, other_hull, places, plane, limit):
 
 
 @inlined
-def compare_triangle(pair, face, places, other_places, planes, above, touches, best):
+def compare_triangle(pair, face, places, other_places, plane, above, touches, best):
     """Compare a triangle of the first mesh with the other convex shape, or its triangle:
     `touches`, None or True, says whether only contact counts. Returns what best[0] is to become.
     """
@@ -637,15 +674,19 @@ def compare_triangle(pair, face, places, other_places, planes, above, touches, b
     else:
         other_surface = surface_of(pair.other_hulls, pair.other)
         other_hull = triangle_hull(pair.other_hulls, other_surface, pair.face, other_places)
-    limit = best[0] if touches is None else pair.tolerance
-    if not pair.planar:
-        if keeps_off(planes[0], places, limit) or keeps_off(planes[1], places, limit):
+    if touches is None:
+        # Around the corner that is nearest, triangles differ by no more than rounding. Where that
+        # may decide whether they touch, all are compared.
+        limit, ties = best[0], 2.0 * plane.doubt
+        if keeps_off(plane, places, limit - ties if limit > 2.0 * ties else limit):
             return np.inf
-        if lies_apart(pair, other_hull, places, planes[1], limit):
-            if touches is not None:
-                reach_plane(surface, planes[1], limit, above)
+    else:
+        limit = pair.tolerance
+        if keeps_off(plane, places, limit):
             return np.inf
-    if touches is not None:
+        if not pair.planar and lies_apart(pair, other_hull, places, plane, limit):
+            reach_plane(surface, plane, limit, above)
+            return np.inf
         is_near, _ = near_hulls(
             pair.one, hull, pair.other, other_hull, pair.tolerance, pair.planar
         )
@@ -659,8 +700,8 @@ def compare_triangle(pair, face, places, other_places, planes, above, touches, b
         for axis in range(3):
             points[1, axis] -= points[0, axis]
         if not pair.planar:
-            set_plane(pair, other_hull, points[1], planes[0])
-            reach_plane(surface, planes[0], distance, above)
+            set_plane(pair, other_hull, points[1], plane)
+            reach_plane(surface, plane, distance, above)
     return distance
 
 
@@ -671,17 +712,17 @@ class Compared(NamedTuple):
     touches: Any
     places: Any
     other_places: Any
-    planes: Any
-    """Two `Plane`: across the line to the nearest triangle so far, and of the last one that
-    `lies_apart` looked at."""
+    plane: Any
+    """`Plane` across the line to the nearest triangle so far, or to the last one that `lies_apart`
+    looked at."""
     above: Any
     """See `reach_plane`."""
 
 
 @inlined
 def _look_at_triangle(compared, query, leaf, square, best, count, limit):
-    (pair, touches, places, other_places, planes, above), face = compared, np.int64(leaf >> 1)
-    distance = compare_triangle(pair, face, places, other_places, planes, above, touches, best)
+    (pair, touches, places, other_places, plane, above), face = compared, np.int64(leaf >> 1)
+    distance = compare_triangle(pair, face, places, other_places, plane, above, touches, best)
     if distance < best[0]:
         best[0] = distance
         limit = -1.0 if distance == 0.0 else pruning_limit(distance)
@@ -695,8 +736,7 @@ def visit_triangles(pair, touches, best):
     """
     places, box = stack_array((3, 3), np.float64), stack_array((2, 3), np.float64)
     other_places = stack_array((3, 3), np.float64)
-    fill_box_in_frame(pair, box)
-    surface = surface_of(pair.hulls, pair.one)
+    surface, extent = surface_of(pair.hulls, pair.one), fill_box_in_frame(pair, box)
     limit = best[0] if touches is None else pair.tolerance
     query = Near(box[0], box[1], 1, limit, ALL)
     doubt = surface.radius + pair.tolerance
@@ -704,16 +744,15 @@ def visit_triangles(pair, touches, best):
         for axis in range(3):
             doubt = max(doubt, abs(box[row, axis]))
     doubt *= FRAMES
-    normals, begins = stack_array((2, 3), np.float64), stack_array(2, np.float64)
+    plane = Plane(stack_array(3, np.float64), stack_array(1, np.float64), doubt)
     above = stack_array(4, np.float32)
     no_plane32(above)
-    begins[0] = begins[1] = -np.inf
+    plane.place[0] = -np.inf
     for axis in range(3):
-        normals[0, axis] = normals[1, axis] = 0.0
-    planes = Plane(normals[0], begins[:1], doubt), Plane(normals[1], begins[1:], doubt)
-    compared = Compared(pair, touches, places, other_places, planes, above)
+        plane.normal[axis] = 0.0
+    compared = Compared(pair, touches, places, other_places, plane, above)
     limit = pruning_limit(limit)
-    visit_near(compared, surface, query, best, limit, above, meet_boxes, _look_at_triangle)
+    visit_near(compared, surface, query, best, limit, above, extent, _look_at_triangle)
 
 
 @inlined
@@ -737,15 +776,14 @@ def _look_at_other(compared, query, leaf, square, best, count, limit):
 def visit_both(pair, touches, best):
     """`visit_triangles` where the other mesh is not convex, either."""
     places, box = stack_array((3, 3), np.float64), stack_array((2, 3), np.float64)
-    fill_box_in_frame(pair, box)
-    surface = surface_of(pair.hulls, pair.one)
+    surface, extent = surface_of(pair.hulls, pair.one), fill_box_in_frame(pair, box)
     limit = best[0] if touches is None else pair.tolerance
     query = Near(box[0], box[1], 1, limit, ALL)
     above = stack_array(4, np.float32)
     no_plane32(above)
     compared = Compared(pair, touches, places, places, None, above)
     limit = pruning_limit(limit)
-    visit_near(compared, surface, query, best, limit, above, meet_boxes, _look_at_other)
+    visit_near(compared, surface, query, best, limit, above, extent, _look_at_other)
 
 
 @lean_kernel

@@ -873,22 +873,22 @@ def gap_square(nodes, node, query, limit):
 
 
 @inlined
-def visit_near(near_by, surface, query, best, limit, plane, meet, look_at):
+def visit_near(near_by, surface, query, best, limit, plane, extent, look_at):
     """`visit_nearest` of the triangles of a surface: through the snapshot of their tree if there
     is one, and the query is near enough. `plane` as of `set_plane32`: what does not reach it is
-    left out. `meet` as of `next_near_leaf`.
+    left out. `extent` is an `Extent`, or None for a point.
     """
     nodes, wide, count = surface.nodes, surface.wide, np.int64(0)
     box, entries = stack_array(6, np.float32), stack_array(STACK, np.int64)
     stack = Stack(stack_array(DEEPEST, np.int64), stack_array(DEEPEST, np.float64))
-    around = Surroundings(box, stack_array(1, np.float32), plane)
+    around = Surroundings(box, stack_array(1, np.float32), plane, extent)
     around.limit[0], entries[0], top = square32(limit, wide.per_length), 0, 1
     suited = surround(wide, query.low, query.high, box)
     if not suited:
         top = push_root(nodes, surface.root, query, limit, stack, gap_square)
     while top > 0 and limit >= 0.0:
         if suited:
-            face, top = next_near_leaf(wide, around, entries, top, meet)
+            face, top = next_near_leaf(wide, around, entries, top, meet_triangles)
         else:
             leaf, top = next_leaf(nodes, query, limit, stack, top, gap_square)
             face = leaf >> 1  # NONE of NONE
@@ -922,7 +922,7 @@ def closest_on_surface(surface, point, out):
     near_by = NearestPoint(surface, out, towards)
     plane = stack_array(4, np.float32)
     no_plane32(plane)
-    visit_near(near_by, surface, query, best, np.inf, plane, meet_triangles, _look_at_triangle)
+    visit_near(near_by, surface, query, best, np.inf, plane, None, _look_at_triangle)
     if largest <= FAR:
         return math.sqrt(best[0])
     for axis in range(3):

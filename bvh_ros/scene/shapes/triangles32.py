@@ -96,30 +96,63 @@ def corners_of(triangles, lane, place):
     return minus(a, place), minus(b, place), minus(c, place)
 
 
-@inlined
-def bound_patch(triangles, lane, place, slack):
-    """(What the squared distance of a place from the triangles in a patch does not fall short of;
-    what it does not exceed): those of the cylinder's nearest and farthest points.
+class Extent(NamedTuple):
+    """How far a shape reaches from the middle of its box; lengths of the snapshot."""
 
-    With e = 2**-24, and m for 1 + the largest coordinate of the place: place, center and corners
-    are off by less than 6 e m, the height above the center by less than 12 e m, the distance
-    from the axis by less than 30 e m. `slack` is 64 e m.
+    one: Any
+    """The three half axes of a box."""
+    two: Any
+    three: Any
+    radius: Any
+    """By how much the box is to grow to hold the shape."""
+    inner: Any
+    """How much nearer than the middle the shape surely is."""
+
+
+@inlined
+def reach_of(extent, normal):
+    """How far a shape reaches along a unit vector."""
+    along = abs(dot(extent.one, normal)) + abs(dot(extent.two, normal))
+    return along + abs(dot(extent.three, normal)) + extent.radius
+
+
+@inlined
+def bound_patch(triangles, lane, place, extent, slack):
+    """(What the squared distance of a place, or of the shape around it, from the triangles in a
+    patch does not fall short of; what it does not exceed): those of the cylinder's nearest and
+    farthest points. A shape lies beyond a plane across the line to the nearest one.
+
+    With e = 2**-24, and m for 1 + the largest coordinate of the place or the shape: place, center
+    and corners are off by less than 6 e m, the height above the center by less than 12 e m, the
+    distance from the axis by less than 30 e m. `slack` is 64 e m.
     """
     x, y, z = lane, lane + WIDTH, lane + 2 * WIDTH
     center = triangles[x], triangles[y], triangles[z]
     axis = triangles[x + 3 * WIDTH], triangles[y + 3 * WIDTH], triangles[z + 3 * WIDTH]
     half, radius = triangles[x + 6 * WIDTH] + slack, triangles[y + 6 * WIDTH] + slack
-    step = minus(place, center)
-    above = dot(step, axis)
-    across = plus(step, -above, axis)
-    above, across = abs(above), np.sqrt(dot(across, across))
-    low, near = max(above - half, ZERO), max(across - radius, ZERO)
-    high, far = above + half, across + radius
-    return low * low + near * near, high * high + far * far
+    step = minus(center, place)
+    height = dot(step, axis)
+    across = plus(step, -height, axis)
+    above, beside = abs(height), np.sqrt(dot(across, across))
+    low, near = max(above - half, ZERO), max(beside - radius, ZERO)
+    high, far = above + half, beside + radius
+    if extent is None:
+        return low * low + near * near, high * high + far * far
+    share = near / max(beside, TINY)
+    towards = share * across[0], share * across[1], share * across[2]
+    towards = plus(towards, math.copysign(low, height), axis)
+    inverse = ONE / np.sqrt(max(low * low + near * near, TINY))
+    normal = towards[0] * inverse, towards[1] * inverse, towards[2] * inverse
+    slope = dot(normal, axis)
+    flat = plus(normal, -slope, axis)
+    kept = half * abs(slope) + radius * np.sqrt(dot(flat, flat)) + reach_of(extent, normal)
+    low = max(dot(step, normal) - kept, ZERO)
+    high = max(np.sqrt(high * high + far * far) - extent.inner, ZERO)
+    return low * low, high * high
 
 
 @inlined
-def bound_children(wide, around, node, lanes, nearest):
+def bound_children(wide, around, extent, node, lanes, nearest):
     """Leave out the lanes of a wide node whose triangles are surely too far away; `nearest`
     becomes the bits of squared distances that the others do not fall short of, and the limit no
     more than one that the nearest triangle surely does not exceed.
@@ -130,19 +163,26 @@ def bound_children(wide, around, node, lanes, nearest):
     triangles = wide.triangles[node * (9 * WIDTH) : (node + 1) * (9 * WIDTH)]
     children = wide.children[node * WIDTH : (node + 1) * WIDTH]
     place = (box[0] + box[3]) * HALF, (box[1] + box[4]) * HALF, (box[2] + box[5]) * HALF
-    slack = LOOSER * (ONE + max(abs(place[0]), abs(place[1]), abs(place[2])))
+    largest = ONE
+    for side in range(6):
+        largest = max(largest, ONE + abs(box[side]))
+    slack = LOOSER * largest
     limits, beyond = stack_array(WIDTH, np.float32), np.float32(np.inf)
     for lane in range(WIDTH):
-        low, high = bound_patch(triangles, lane, place, slack + slack)
+        low, high = bound_patch(triangles, lane, place, extent, slack + slack)
         is_node = children[lane] >= 0
         squares[lane] = max(squares[lane], low) if is_node else squares[lane]
         limits[lane] = high if is_node else beyond
     if np.uint32(lanes & leaves) != np.uint32(0):
         for lane in range(WIDTH):
             low, point, inverse = separation(*corners_of(triangles, lane, place))
-            low, high = max(low - slack, ZERO), dot(point, point) * inverse + slack
+            low, high = low - slack, dot(point, point) * inverse + slack
+            if extent is not None:
+                normal = point[0] * inverse, point[1] * inverse, point[2] * inverse
+                low, high = low - reach_of(extent, normal), high - extent.inner
+            low, high = max(low, ZERO), max(high, ZERO)
             is_leaf = children[lane] < 0
-            squares[lane] = low * low if is_leaf else squares[lane]
+            squares[lane] = max(squares[lane], low * low) if is_leaf else squares[lane]
             limits[lane] = high * high if is_leaf else limits[lane]
     limit = around.limit[0]
     for lane in range(WIDTH):
@@ -153,11 +193,11 @@ def bound_children(wide, around, node, lanes, nearest):
 
 @inlined
 def meet_triangles(snapshot, around, node, nearest):
-    """`meet_boxes` for a point, without what is surely too far away by `bound_children`."""
+    """`meet_boxes` without what is surely too far away by `bound_children`."""
     lanes = meet_boxes(snapshot, around, node, nearest)
     if lanes == np.uint32(0):
         return lanes
-    return bound_children(snapshot, around, node, lanes, nearest)
+    return bound_children(snapshot, around, around.extent, node, lanes, nearest)
 
 
 # ---- the patch of a child: its triangles, and the cylinder around them

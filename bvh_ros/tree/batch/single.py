@@ -157,6 +157,8 @@ class Surroundings(NamedTuple):
     """(1,) float32: the largest squared distance."""
     plane: Any
     """(4,) float32: see `set_plane32`."""
+    extent: Any
+    """Of the shape in the box, where `meet` reads it."""
 
 
 @inlined

@@ -414,6 +414,42 @@ def test_clearance_and_overlap_of_balls(placed):
             scene.clearance_many(balls, signed=True)
 
 
+@pytest.fixture(scope='module')
+def rocks():
+    """(A scene with one mesh of many triangles, and one with each triangle as an obstacle.)"""
+    rng, count = np.random.default_rng(8), 400
+    triangles = rng.uniform(-1.0, 1.0, (count, 1, 3)) + rng.uniform(-0.1, 0.1, (count, 3, 3))
+    triangles[:80] = 0.4 * icosphere(1)  # they share corners
+    place, turn = np.array((3.0, -2.0, 1.0)), (0.3, -0.2, 0.5, 0.8)
+    each = [Mesh(triangle[None], solid=False) for triangle in triangles]
+    places, turns = np.tile(place, (count, 1)), np.tile(turn, (count, 1))
+    whole = Shapes.of_meshes(Mesh(triangles, solid=False), place, turn)
+    return scene_of(whole), scene_of(Shapes.of_meshes(each, places, turns))
+
+
+@pytest.mark.parametrize('size', [1e-3, 0.1, 1.0, 30.0])
+@pytest.mark.parametrize('kind', ['box', 'ball', 'capsule', 'cylinder', 'stick', 'ring'])
+def test_a_mesh_is_as_near_as_its_triangles_one_by_one(rocks, kind, size):
+    mesh, apart = rocks
+    rng, count = np.random.default_rng(9), 100
+    places = rng.normal(size=(count, 3)) * rng.choice([0.5, 2.0, 20.0], (count, 1)) + (3, -2, 1)
+    turns, ones = Rotation.random(count, random_state=4).as_quat(), np.full(count, size)
+    shapes = {
+        'box': lambda: Shapes.boxes(places, size * rng.uniform(0.1, 1.0, (count, 3)), turns),
+        'ball': lambda: Shapes.spheres(places, ones),
+        'capsule': lambda: Shapes.capsules(places, 0.1 * ones, ones, turns),
+        'cylinder': lambda: Shapes.cylinders(places, 0.1 * ones, ones, turns),
+        'stick': lambda: Shapes.boxes(places, size * np.array([[1.0, 1e-4, 1e-6]] * count), turns),
+        'ring': lambda: Shapes.of_meshes(Mesh(SOLIDS['ring'] * (size / 16.0)), places, turns),
+    }[kind]()
+    _, found, mine, theirs = mesh.clearance_many(shapes)
+    _, expected, _, _ = apart.clearance_many(shapes)
+    assert found == pytest.approx(expected, rel=1e-12, abs=1e-12 * max(size, 1.0))
+    gaps = np.linalg.norm(mine - theirs, axis=1)
+    assert gaps == pytest.approx(found, abs=1e-12 * max(size, 10.0))
+    assert (found > 0.0).any() or size > 1.0
+
+
 def test_boxes_and_meshes_touch_where_their_distance_is_zero(placed):
     """Distances, points and overlaps agree, also of one mesh in another."""
     mesh, scene, points, _, inside = placed
