@@ -409,9 +409,9 @@ class Mesh:
 
     A point is inside a solid if a line from there crosses the surface an odd number of times. So
     of two nested closed surfaces the inner one is a hollow. A triangle that is given several times
-    counts once, unless the mesh is closed only with all of them, as two boxes that share a wall.
-    A sheet on both sides is not closed. Triangles without an area are left out; before that, they
-    may close the seam between others.
+    counts once, or twice where only that closes the mesh, as the wall that two boxes share. A
+    sheet on both sides alone is not closed. Triangles without an area are left out; before that,
+    they may close the seam between others.
 
     Raises
     ------

@@ -322,9 +322,9 @@ def closed_if_possible(given: Given, stitch: bool) -> tuple[Integers, Linked]:
     """(rows of those that count, these), closed if they can be: as given; or `stitch`, with seams
     that exporters rounded welded. Else each once.
     """
-    found = _closed_rows(given.linked)
+    found = _closed_rows(given, given.linked)
     if found is None and stitch:
-        found = _closed_rows(_stitched(given))
+        found = _closed_rows(given, _stitched(given))
     return found or _each_once(given.linked)
 
 
@@ -333,18 +333,39 @@ def _each_once(linked: Linked) -> tuple[Integers, Linked]:
     return once, linked.part(once)
 
 
-def _closed_rows(linked: Linked) -> tuple[Integers, Linked] | None:
-    """Each triangle once, if these are closed, or all, if only they are; None if neither are.
+def _closed_rows(given: Given, linked: Linked) -> tuple[Integers, Linked] | None:
+    """Each triangle once, if these are closed, or some of them twice, if only they are; None if
+    neither are.
 
     By parity, a part that is given twice would hold nothing. But two boxes may share a wall that
     both have. A sheet on both sides is no closed surface.
     """
     once, form = _each_once(linked)
-    if not len(form.open_edges):
-        return once, form
-    if (np.bincount(linked.first) & 1).any() and not len(linked.open_edges):
-        return np.arange(len(linked.first)), linked
-    return None
+    if len(form.open_edges) and len(once) < len(linked.first):
+        rows = np.sort(np.r_[once, _second(given, linked, once)])
+        once, form = rows, linked.part(rows)
+    return None if len(form.open_edges) else (once, form)
+
+
+def _second(given: Given, linked: Linked, once: Integers) -> Integers:
+    """The second rows of triangles that count twice: of those given an even number of times, but
+    for how often all are given. In a closed part of repeated triangles they may as well be the
+    others; then those with less area.
+    """
+    order, begins = _runs(linked.first)
+    copies = np.diff(begins, append=len(order))
+    copies //= np.gcd.reduce(copies)
+    repeated = np.flatnonzero(copies > 1)
+    if not len(repeated):
+        return repeated
+    even, form = copies[repeated] % 2 == 0, linked.part(once[repeated])
+    _, part = parts_of(form.edges.number.reshape(-1, 3))
+    part = part[form.edges.number[::3]]
+    is_open = np.bincount(part[form.open_edges // 3], minlength=len(repeated)) > 0
+    one, two, three = places_of(given.points / given.extent, form.corners)
+    area = np.sqrt(_squares(_crossed(two - one, three - one)))
+    more = np.bincount(part, np.where(even, area, -area), len(repeated)) > 0.0
+    return order[begins[repeated] + 1][even ^ (more & ~is_open)[part]]
 
 
 def _stitched(given: Given) -> Linked:

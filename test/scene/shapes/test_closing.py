@@ -134,6 +134,37 @@ def test_a_triangle_that_is_repeated_counts_once(name):
         assert np.array_equal(hits[0].t, hits[1].t)
 
 
+NEXT = at((1, 0, 0), CUBE)  # it shares a wall with the cube: two triangles that both have
+FIN = np.array([[(0.5, -0.5, -0.5), (0.5, 0.5, -0.5), (2, 0, -0.5)]])
+FAR = at((9, 0, 0), CUBE)
+REPEATED = {  # the parts of a mesh, in some order, and how many triangles count
+    'two that share a wall': ([CUBE, NEXT], 24),
+    'beside a part on both sides': ([CUBE, NEXT, FAR, FAR], 36),
+    'one twice, its neighbour once': ([CUBE, CUBE, NEXT], 24),
+    'one three times, its neighbour twice': ([CUBE, NEXT] * 2 + [CUBE], 24),
+    'all on both sides': ([CUBE, NEXT] * 2, 24),
+    'all three times': ([CUBE, NEXT] * 3, 24),
+    'a fin on both sides': ([CUBE, FIN, FIN, FAR, FAR], 26),
+    'a fin on both sides, and all again': ([CUBE, FIN, FIN, FAR] * 2, 26),
+}
+
+
+@pytest.mark.parametrize('name', REPEATED)
+def test_a_part_that_is_repeated_is_not_hollow(name):
+    """However often others are given: the middle of each cube is occupied."""
+    parts, count = REPEATED[name]
+    rng = np.random.default_rng(4)
+    triangles = rng.permutation(np.concatenate(parts))
+    triangles = np.array([rng.permutation(triangle) for triangle in triangles])
+    mesh = Mesh(triangles)
+    assert (mesh.solid, len(mesh.corners)) == (True, count)
+    assert mesh.dropped == len(triangles) - count
+    scene = scene_of(Shapes.of_meshes(mesh, [0, 0, 0]))
+    middles = [part.mean(axis=(0, 1)) for part in parts if len(part) > 1]
+    assert not scene.nearest_many(middles).distances.any()
+    assert scene.nearest((4.0, 0.0, 0.0))[0].t > 0.0
+
+
 A, B, C = CUBE[0]
 STRAYS = {
     'apart': [(5, 5, 5), (6, 5, 5), (7, 5, 5)],
