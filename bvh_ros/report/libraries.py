@@ -205,6 +205,45 @@ FCL = _with_manager(
     'pairs go to a callback in Python that only counts them, without a narrow phase',
 )
 
+
+class CoalMesh:
+    """A mesh of coal, in its tightest boxes; each query is a call from Python."""
+
+    def __init__(self, vertices: Floats, faces: Rows) -> None:
+        self._coal = coal = import_module('coal')
+        model = coal.BVHModelOBBRSS()
+        model.beginModel(len(faces), len(vertices))
+        model.addVertices(vertices)
+        model.addTriangles(faces)
+        model.endModel()
+        self.mesh = coal.CollisionObject(model)
+
+    def distances(self, objects: Iterable[Any]) -> list[float]:
+        """Distance of each object from the mesh."""
+        coal = self._coal
+        wanted, found = coal.DistanceRequest(), coal.DistanceResult
+        return [coal.distance(self.mesh, item, wanted, found()) for item in objects]
+
+    def touches(self, objects: Iterable[Any]) -> list[bool]:
+        """Whether each object touches the mesh."""
+        coal = self._coal
+        wanted, found = coal.CollisionRequest(), coal.CollisionResult
+        return [coal.collide(self.mesh, item, wanted, found()) > 0 for item in objects]
+
+
+# ---- Open3D: the closest points of a mesh, by Embree. It is large, so no extra brings it
+
+
+def closest_points_job(vertices: Floats, faces: Rows, points: Floats) -> Callable[[], object]:
+    """Finds the closest points of a mesh on one core."""
+    library = import_module('open3d')
+    given = vertices.astype(np.float32), faces.astype(np.uint32), points.astype(np.float32)
+    corners, rows, places = map(library.core.Tensor, given)
+    scene = library.t.geometry.RaycastingScene(nthreads=1)
+    scene.add_triangles(corners, rows)
+    return lambda: scene.compute_closest_points(places, nthreads=1)
+
+
 # ---- cKDTree of scipy, which most Python users would take for nearest points
 
 

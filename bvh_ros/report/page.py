@@ -41,7 +41,7 @@ def markdown(header: Sequence[str], rows: Sequence[Sequence[Cell]]) -> str:
 
 
 TITLE = '# bvh_ros: report\n'
-LIBRARIES = ('numpy', 'numba', 'embreex', 'coal', 'python-fcl', 'rapier3d', 'scipy')
+LIBRARIES = ('numpy', 'numba', 'embreex', 'coal', 'open3d', 'python-fcl', 'rapier3d', 'scipy')
 # Okabe and Ito's colours, which the colour-blind can tell apart, and purple.
 BLUE, RED, PINK, PURPLE = '#0072B2', '#D55E00', '#CC79A7', '#7353AD'
 ORANGE, BLACK, GREY = '#E69F00', '#000000', '0.4'

@@ -3,15 +3,29 @@
 """Other libraries on the same work in the same run."""
 
 from collections.abc import Callable, Iterator
+from importlib import import_module
+from importlib.util import find_spec
 from itertools import cycle
 from typing import Any, NamedTuple
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from .. import DynamicBVH
 from ..scene import Mesh, Scene, Shapes
 from . import scenes
-from .libraries import COAL, EMBREE, LIBRARIES, OURS, Library, Rows, embree_scene
+from .libraries import (
+    COAL,
+    EMBREE,
+    LIBRARIES,
+    OURS,
+    CoalMesh,
+    Library,
+    Rows,
+    closest_points_job,
+    collision_objects,
+    embree_scene,
+)
 from .page import BLUE, ORANGE, RED, Cell, Page
 from .scenes import EDGE, Boxes, Floats, Queries, Rays
 from .timing import Job, each, interleaved, one_processor, repeated
@@ -396,8 +410,9 @@ BALL, POSES = 0.1, 1_000  # m; obstacles that share a mesh
 def meshes(page: Page, brief: bool) -> None:
     """A solid ring with waves, 2.9 m across: random rays from 3 m away to anywhere in the box
     around it, as Embree answers them with triangle, u, v and t; balls of 0.1 m on such rays;
-    points in a box three times as large; boxes and balls up to 2 m away. Of *new poses*, 1,000
-    obstacles share the mesh, beside as many turned boxes.
+    points in a box three times as large; boxes and balls up to 2 m away, which coal is asked for
+    one by one from Python. Of *new poses*, 1,000 obstacles share the mesh, beside as many turned
+    boxes.
     """
     count, queries, repeats = (50, 20, 3) if brief else (MESH_RAYS, MESH_QUERIES, MESH_REPEATS)
     rows: list[list[Cell]] = []
@@ -444,6 +459,30 @@ def _mesh_jobs(
         peer, rays = embree_scene(theirs), EMBREE.rays(Rays(origins, directions))
         peers['ray'] = 'ray, Embree', Job(lambda: peer.run(*rays, output=True), count)
         peers['build'] = 'build, Embree', Job(lambda: embree_scene(theirs), 1)
+    if COAL.installed():
+        other, coal = CoalMesh(vertices, faces), import_module('coal')
+        poses = Rotation.from_quat(turns).as_matrix(), centres
+        cubes, spheres = (
+            collision_objects('coal', [form] * queries, *poses)
+            for form in (coal.Box(0.3, 0.3, 0.3), coal.Sphere(0.2))
+        )
+        peers |= {
+            'clearance of a turned box': (
+                'distance, coal',
+                Job(lambda: other.distances(cubes), queries),
+            ),
+            'clearance of a ball': (
+                'distance, coal',
+                Job(lambda: other.distances(spheres), queries),
+            ),
+            'overlap of a turned box': (
+                'collide, coal',
+                Job(lambda: other.touches(cubes), queries),
+            ),
+        }
+    if find_spec('open3d') is not None:
+        closest = closest_points_job(vertices, faces, points)
+        peers['nearest'] = 'closest points, Open3D', Job(closest, queries)
     return jobs, peers
 
 
