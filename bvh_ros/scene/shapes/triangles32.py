@@ -167,6 +167,8 @@ def bound_children(wide, around, extent, node, lanes, nearest):
     for side in range(6):
         largest = max(largest, ONE + abs(box[side]))
     slack = LOOSER * largest
+    if extent is not None:  # how far the shape reaches is rounded, too
+        slack += slack
     limits, beyond = stack_array(WIDTH, np.float32), np.float32(np.inf)
     for lane in range(WIDTH):
         low, high = bound_patch(triangles, lane, place, extent, slack + slack)
