@@ -1,0 +1,16 @@
+# Copyright 2026 The bvh_ros authors
+# SPDX-License-Identifier: Apache-2.0
+"""What markers change in a scene, as a source of markers finds it out."""
+
+from rclpy.serialization import serialize_message
+from ros.sources.generators import ended
+from visualization_msgs.msg import MarkerArray
+
+from bvh_ros.ros.cdr import marker_array as decoder
+from bvh_ros.ros.sources import marker_array as conversion
+
+
+def change_of(markers, **given):
+    """What visualization_msgs/Marker objects change."""
+    read = decoder.read(serialize_message(MarkerArray(markers=[*markers])))
+    return ended(conversion.change(read, **given))
