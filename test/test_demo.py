@@ -12,6 +12,8 @@ import pytest
 
 pytest.importorskip('rclpy', reason='rclpy is not installed', exc_type=ImportError)
 
+import sys
+
 from demos import finished, rows_of, start
 
 from bvh_ros import demo, scenarios
@@ -101,13 +103,15 @@ def test_a_picture_needs_no_node(tmp_path):
     [
         (('--replay', '/nowhere'), 'there is no file or folder'),
         (('--topic', '/a'), '--topic is for bags'),
+        (('--domain', '233'), '--domain'),
         (('--speed', '0'), '--speed'),
         (('--speed', 'nan'), '--speed'),
         (('--view', '--picture', 'a.png'), '--picture'),
         (('--picture', '/nowhere/a.png'), '/nowhere/a.png'),
     ],
 )
-def test_wrong_arguments(arguments, reason):
-    code, _, errors = finished(start(*arguments))
-    assert code == 2
-    assert reason in errors
+def test_wrong_arguments(capsys, arguments, reason):
+    with pytest.raises(SystemExit) as ended:
+        sys.exit(demo.main(arguments))
+    assert ended.value.code == 2
+    assert reason in capsys.readouterr().err

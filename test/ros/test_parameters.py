@@ -318,17 +318,12 @@ def test_help_is_given():
     assert 'come after --ros-args' in ended.stdout
 
 
-@pytest.mark.parametrize(
-    'arguments',
-    [('bvh_ros.demo', '--domain', '233'), ('bvh_ros.report.cli', 'speed', '--out', os.devnull)],
-)
-def test_wrong_arguments_of_the_others(arguments):
-    module, *rest = arguments
-    main = f'import sys; from {module} import main; sys.exit(main(sys.argv[1:]))'
-    ended = run_alone(main, *rest)
+def test_wrong_arguments_of_the_report():
+    main = 'import sys; from bvh_ros.report.cli import main; sys.exit(main(sys.argv[1:]))'
+    ended = run_alone(main, 'speed', '--out', os.devnull)
     assert ended.returncode == 2, ended.stderr
     assert 'Traceback' not in ended.stderr
-    assert rest[-2] in ended.stderr.splitlines()[-1]
+    assert '--out' in ended.stderr.splitlines()[-1]
 
 
 @pytest.mark.slow
