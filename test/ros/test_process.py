@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 from ros.messages import marker
-from ros.patience import COMPILING, PATIENCE
+from ros.patience import PATIENCE
 
 
 @pytest.fixture(scope='module')
@@ -51,16 +51,6 @@ def test_clean_exit_while_starting(start_node, how, after):
     world.until(lambda: handles(world.process, signal.SIGTERM))
     time.sleep(after)
     assert world.end(how) == 0, world.said()
-    assert 'Traceback' not in world.said()
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize('how', [signal.SIGINT, signal.SIGTERM])
-def test_clean_exit_while_compiling(start_node, monkeypatch, tmp_path, seconds_to_end, how):
-    monkeypatch.setenv('NUMBA_CACHE_DIR', str(tmp_path))
-    world = start_node(wait=False)
-    world.until(lambda: any(tmp_path.rglob('*.nbc')), COMPILING)  # of some minutes
-    assert seconds_to_end(world.process, how) < 1.0
     assert 'Traceback' not in world.said()
 
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from ros.parts.mixed_world import FACING, PARAMETERS, PLACE, fill, same_scene
 from ros.patience import once_compiled
+from scipy.spatial.transform import Rotation
 from turns import unit_quaternions
 
 from bvh_ros.client import FREE, UNANSWERED, BvhError, BvhTimeoutError
@@ -55,32 +56,50 @@ def test_clearances_are_those_of_a_scene(client, signed):
         np.testing.assert_array_equal(mine, others)
 
 
+def in_lidar(points):
+    return FACING.inv().apply(points - PLACE)
+
+
 @needs_services
 @pytest.mark.slow
-def test_sweeps_are_those_of_a_scene(client):
-    scene, turns = same_scene(), TURNS[::-1]
-    tolerance = np.linspace(0.0, 0.2, ROWS)
-    asked = SHAPES, GOALS, turns, tolerance
-    found = once_compiled(lambda: client.sweep_shape_many(*asked, resolution=1e-3))
+@pytest.mark.parametrize('frame_id', ['', 'lidar'])
+def test_sweeps_are_those_of_a_scene(client, frame_id):
+    scene, goal_turns, tolerance = same_scene(), TURNS[::-1], np.linspace(0.0, 0.2, ROWS)
+    shapes, goals, turns = SHAPES, GOALS, goal_turns
+    if frame_id:
+        there, turns = ((FACING.inv() * Rotation.from_quat(q)).as_quat() for q in (TURNS, turns))
+        shapes = SHAPES._replace(position=in_lidar(PLACES), orientation=there)
+        goals = in_lidar(GOALS)
+    given = {'resolution': 1e-3, 'frame_id': frame_id}
+    found = once_compiled(
+        lambda: client.sweep_shape_many(shapes, goals, turns, tolerance, **given)
+    )
+    names = client.names(found.obstacles)
     for row in range(ROWS):
-        given = GOALS[row], turns[row], tolerance[row]
-        one = scene.sweep_shape(SHAPES.take([row]), *given, resolution=1e-3)
-        assert (found.obstacles[row] == FREE) == (one is None)
-        assert found.t[row] == (np.inf if one is None else one.t)
+        shape = Shapes(KINDS[[row]], np.zeros((1, 3)), [[0, 0, 0, 1]], SIZES[[row]])
+        ways = PLACES[[row]], TURNS[[row]], GOALS[[row]], goal_turns[[row]]
+        one = scene.sweep_shape_many(shape, *ways, tolerance[row], resolution=1e-3)
+        if frame_id:  # turned there and back again
+            np.testing.assert_allclose(found.t[row], one.t[0], atol=1e-6)
+            continue
+        met = one.handles[0] != FREE
+        assert names.get(int(found.obstacles[row])) == (
+            scene.name_of(one.handles[0]) if met else None
+        )
+        for mine, others in zip(found[1:], one[1:], strict=True):
+            np.testing.assert_array_equal(mine[row], others[0])
     assert 0 < np.isfinite(found.t).sum() < ROWS
 
 
 @needs_services
 @pytest.mark.slow
 def test_another_frame_is_that_of_the_answers(client):
-    places = FACING.inv().apply(PLACES - PLACE)
-    balls = Shapes.spheres(places, 0.1)
+    balls = Shapes.spheres(in_lidar(PLACES), 0.1)
     found = once_compiled(lambda: client.clearance_many(balls, frame_id='lidar'))
     _, distances, _, points = same_scene().clearance_many(Shapes.spheres(PLACES, 0.1))
     np.testing.assert_allclose(found.distances, distances, atol=1e-9)
-    there = FACING.inv().apply(points - PLACE)
     apart = distances > 0  # else any common point is right
-    np.testing.assert_allclose(found.obstacle_points[apart], there[apart], atol=1e-9)
+    np.testing.assert_allclose(found.obstacle_points[apart], in_lidar(points)[apart], atol=1e-9)
 
 
 @needs_services

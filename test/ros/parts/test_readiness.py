@@ -97,10 +97,14 @@ def is_running(pid):
 
 @pytest.mark.slow
 @pytest.mark.parametrize('how', [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
-def test_whoever_ends_the_node_ends_the_compiling(start, tmp_path, how):
+def test_whoever_ends_the_node_ends_the_compiling(start, tmp_path, seconds_to_end, how):
     world, compiles = start(), tmp_path / 'compiles'
     world.until(lambda: compiles.read_text() != '')  # it is there before anything stands in it
     pid = int(compiles.read_text())
     assert is_running(pid)
-    world.end(how)
+    if how == signal.SIGKILL:
+        world.end(how)
+    else:
+        assert seconds_to_end(world.process, how) < 1.0
     world.until(lambda: not is_running(pid))
+    assert 'Traceback' not in world.said()

@@ -10,7 +10,6 @@ from array import array
 import numpy as np
 import pytest
 from ros.messages import cloud
-from scipy.spatial.transform import Rotation
 
 srv = pytest.importorskip('bvh_msgs.srv', reason='bvh_msgs is not built: pip install ./bvh_msgs')
 if not hasattr(srv, 'Raycast'):
@@ -19,7 +18,7 @@ if not hasattr(srv, 'Raycast'):
 from ros.parts.mixed_world import FACING, PARAMETERS, PLACE, fill, same_scene  # noqa: E402
 from turns import unit_quaternions  # noqa: E402
 
-from bvh_ros.scene import NO_NODE, Shapes  # noqa: E402
+from bvh_ros.scene import NO_NODE  # noqa: E402
 
 pytestmark = pytest.mark.slow
 
@@ -93,10 +92,6 @@ def names_in(response):
 
 
 STARTS, GOALS = RNG.uniform(-7, 7, (ROWS, 3)), RNG.uniform(-7, 7, (ROWS, 3))
-KINDS = np.arange(ROWS, dtype=np.uint8) % 4
-SIZES = np.full((ROWS, 3), 0.5)
-SIZES[KINDS == 0] = 0.3, 0.6, 0.9
-SIZES[KINDS >= 2, 2] = 1.2
 
 
 @pytest.mark.parametrize('radius', [None, 0.3])
@@ -183,57 +178,6 @@ def test_points_are_as_far_as_in_a_scene(world, scene, signed):
     ends = np.repeat(STARTS, 3, axis=0).reshape(ROWS, 3, 3)[found]
     reached = points[found] + points_of(response, 'normals') * distances[found][:, None]
     np.testing.assert_allclose(reached, ends, atol=1e-9)
-
-
-@pytest.mark.parametrize('signed', [False, True])
-def test_shapes_are_as_far_as_in_a_scene(world, scene, signed):
-    turns = np.broadcast_to(np.array((0.0, 0.6, 0.0, 0.8)), (ROWS, 4))
-    asked = {'positions': STARTS, 'kinds': KINDS, 'sizes': SIZES, 'orientations': turns[0].copy()}
-    response = ask(world, 'Clearance', 'query/clearance', signed_distances=signed, **asked)
-    assert response.status == OK, response.message
-    shapes = Shapes(KINDS, STARTS, turns, SIZES)
-    handles, distances, points, others = scene.clearance_many(shapes, signed=signed)
-    assert list(response.names) == [scene.name_of(handle) for handle in handles]
-    np.testing.assert_array_equal(response.distances, distances)
-    np.testing.assert_array_equal(points_of(response, 'shape_points'), points)
-    np.testing.assert_array_equal(points_of(response, 'obstacle_points'), others)
-    far = ask(world, 'Clearance', 'query/clearance', max_distances=np.zeros(1), **asked)
-    free = np.array(far.obstacles) == srv.Clearance.Response.NONE
-    assert free.any()
-    np.testing.assert_array_equal(np.isinf(far.distances), free)
-
-
-@pytest.mark.parametrize('frame_id', ['', 'lidar'])
-def test_ways_are_as_a_scene_sees_them(world, scene, frame_id):
-    goals = STARTS + RNG.normal(0.0, 0.7, (ROWS, 3))
-    turns, goal_turns = (unit_quaternions(RNG.normal(size=(ROWS, 4))) for _ in range(2))
-    asked = {'kinds': KINDS, 'sizes': SIZES, 'resolution': 1e-3, 'frame_id': frame_id}
-    given = {'positions': STARTS, 'goal_positions': goals}
-    turned = {'orientations': turns, 'goal_orientations': goal_turns}
-    if frame_id:
-        given = {name: in_lidar(places) for name, places in given.items()}
-        back = FACING.inv()
-        turned = {n: (back * Rotation.from_quat(q)).as_quat() for n, q in turned.items()}
-    response = ask(world, 'Sweep', 'query/sweep', **asked, **given, **turned)
-    assert response.status == OK, response.message
-    for kind in range(4):
-        rows = np.flatnonzero(kind == KINDS)
-        shape = Shapes([kind], np.zeros((1, 3)), [[0, 0, 0, 1]], SIZES[rows[:1]])
-        ways = STARTS[rows], turns[rows], goals[rows], goal_turns[rows]
-        found = scene.sweep_shape_many(shape, *ways, resolution=1e-3)
-        met = np.isfinite(found.t)
-        assert met.any()
-        assert not met.all()
-        names = [scene.name_of(handle) if handle != NO_NODE else '' for handle in found.handles]
-        answered = [response.names[row] for row in rows]
-        if frame_id:  # turned there and back again
-            np.testing.assert_allclose(np.array(response.t)[rows], found.t, atol=1e-6)
-        else:
-            assert answered == names
-            np.testing.assert_array_equal(np.array(response.t)[rows], found.t)
-            np.testing.assert_array_equal(np.array(response.free_until)[rows], found.free_until)
-            np.testing.assert_array_equal(points_of(response, 'points')[rows], found.points)
-            np.testing.assert_array_equal(points_of(response, 'normals')[rows], found.normals)
 
 
 NAN = np.array((1.0, np.nan, 0.0))

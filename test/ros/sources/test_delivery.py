@@ -3,6 +3,7 @@
 """Nothing that is told or asked is lost, or it is seen, over real processes."""
 
 import time
+from functools import partial
 
 import numpy as np
 import pytest
@@ -22,31 +23,16 @@ OK, WARN, ERROR = b'\x00', b'\x01', b'\x02'
 DELETE_ALL = 3
 
 
-@pytest.fixture
-def publish(ros):
-    """Publishers of this test, found by the node before they speak."""
-    opened = []
-
-    def publisher(world, kind, topic, qos):
-        opened.append(ros[0].create_publisher(kind, f'{world.namespace}/{topic}', qos))
-        world.until(lambda: opened[-1].get_subscription_count() > 0)
-        return opened[-1]
-
-    yield publisher
-    for one in opened:
-        ros[0].destroy_publisher(one)
-
-
 def everything_of(*numbers):
     whole = marker(0, ns='', action=DELETE_ALL)
     return MarkerArray(markers=[whole, *(marker(n, (2 * n, 0, 0)) for n in numbers)])
 
 
-def test_a_burst_of_changes(world, publish):
+def test_a_burst_of_changes(world):
     """A thousand markers, and as many boxes with ids, one a message, as fast as can be."""
-    publisher = publish(world, MarkerArray, 'bvh/obstacles', DEEP)
     for i in range(BURST):
-        publisher.publish(MarkerArray(markers=[marker(i, (2 * i, 0, 0), ns='burst')]))
+        change = MarkerArray(markers=[marker(i, (2 * i, 0, 0), ns='burst')])
+        world.publish('bvh/obstacles', change, qos=DEEP)
     world.until(lambda: len(world.everything()) == BURST)
     status = world.status('source markers')
     assert (status.level, status.values['messages lost']) == (OK, '0')
@@ -71,7 +57,7 @@ def test_a_burst_of_requests(world, clients, each):
 
 
 @pytest.mark.slow
-def test_a_gap_is_seen(start_node, publish):
+def test_a_gap_is_seen(start_node):
     """With room for one message only, most of a burst is lost."""
     namespace = '/shallow'
     depth = {f'qos_overrides.{namespace}/bvh/obstacles.subscription.depth': 1}
@@ -80,11 +66,11 @@ def test_a_gap_is_seen(start_node, publish):
     def answer():
         return world.names('raycast', (-1, 0, 0), (1, 0, 0))
 
-    publisher = publish(world, MarkerArray, 'bvh/obstacles', DEEP)
-    publisher.publish(MarkerArray(markers=[marker(0)]))
+    tell = partial(world.publish, 'bvh/obstacles', qos=DEEP)
+    tell(MarkerArray(markers=[marker(0)]))
     world.until(lambda: answer() == ['a/0'])  # heard from its first message on
     for i in range(300):
-        publisher.publish(MarkerArray(markers=[marker(i, (2 * i, 0, 0))]))
+        tell(MarkerArray(markers=[marker(i, (2 * i, 0, 0))]))
     world.until(lambda: 'of its messages were lost' in answer()[0])
     assert answer()[0].startswith("error: required source 'markers' has to tell all again")
     lost = int(world.status('source markers').values['messages lost'])
@@ -92,11 +78,11 @@ def test_a_gap_is_seen(start_node, publish):
     for part in ('world', 'queries', 'rays', 'source markers'):
         assert world.status(part).level == ERROR
     assert 'messages were lost' in world.said()
-    publisher.publish(everything_of(0, 1))
+    tell(everything_of(0, 1))
     world.until(lambda: answer() == ['a/0'])
     assert world.status('source markers').level == OK
     assert world.trigger('clear').success
-    publisher.publish(MarkerArray(markers=[marker(0)]))
+    tell(MarkerArray(markers=[marker(0)]))
     world.until(lambda: 'what it had told was cleared' in answer()[0])
 
 
@@ -157,19 +143,13 @@ def test_clouds_with_ids_tell_all_by_one_without(start_node, ros):
 
 
 @pytest.mark.slow
-def test_best_effort_beside_reliable_beside_latched(start_node, publish):
+def test_best_effort_beside_reliable_beside_latched(start_node, ros):
     """All three are heard, each message once, and each publisher's in order."""
     world = start_node()
     kinds = {'latched': LAST_FIVE, 'reliable': DEEP, 'best': BEST_EFFORT}
-    publishers = {
-        name: publish(world, MarkerArray, 'bvh/obstacles', qos)
-        for name, qos in kinds.items()
-        if name != 'best'
-    }
-    publishers['best'] = world.node.create_publisher(
-        MarkerArray, f'{world.namespace}/bvh/obstacles', BEST_EFFORT
-    )
-    world.until(lambda: publishers['best'].get_subscription_count() > 0)
+    topic = f'{world.name}/obstacles'
+    publishers = {n: ros[0].create_publisher(MarkerArray, topic, qos) for n, qos in kinds.items()}
+    world.until(lambda: all(one.get_subscription_count() for one in publishers.values()))
     world.until(lambda: 'best effort, too' in world.said())
     time.sleep(0.5)
     for i in range(50):
@@ -181,18 +161,18 @@ def test_best_effort_beside_reliable_beside_latched(start_node, publish):
     status = world.status('source markers')
     assert status.values['messages'] == '150'
     assert status.values['messages lost'] == '0'
-    world.node.destroy_publisher(publishers['best'])
+    for publisher in publishers.values():
+        ros[0].destroy_publisher(publisher)
 
 
 @pytest.mark.slow
-def test_large_clouds_that_come_too_fast_make_the_node_neither_late_nor_large(start_node, publish):
+def test_large_clouds_that_come_too_fast_make_the_node_neither_late_nor_large(start_node):
     world = start_node({'sources': ['c'], 'c': {'type': 'PointCloud2', 'topic': 'c'}})
-    publisher = publish(world, PointCloud2, 'c', DEEP)
     rows = np.arange(20_000)
     columns = {'x': rows % 100, 'y': rows // 100, 'z': rows * 0}
     for _ in range(60):
-        publisher.publish(cloud(columns, kind='f4'))
-    publisher.publish(cloud({'x': [0], 'y': [0], 'z': [0]}))
-    world.until(lambda: world.everything() == {'c#0'})
+        world.publish('c', cloud(columns, kind='f4'), qos=DEEP)
+    world.publish('c', cloud({'x': [0], 'y': [0], 'z': [0]}))
+    world.holds('c#0')
     values = world.status('source c').values
     assert int(values['messages']) + int(values['messages that newer ones replaced']) == 61

@@ -2,21 +2,19 @@
 # SPDX-License-Identifier: Apache-2.0
 """MarkerArrays to changes of the scene."""
 
-import logging
 import math
 from random import Random
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from rclpy.serialization import serialize_message
 from ros import messages
 from ros.messages import SECOND, stamp
-from ros.sources.changes import change_of
+from ros.sources.changes import change_of, source_of
 from ros.sources.generators import ended
 from visualization_msgs.msg import MarkerArray
 
-from bvh_ros.ros.access import FrameError, SourceSettings, Transform, create_source
+from bvh_ros.ros.access import FrameError, Transform
 from bvh_ros.scene import NodeScene, ShapeKind
 
 ARROW, CUBE, SPHERE, CYLINDER, CUBE_LIST, SPHERE_LIST, MESH, TRIANGLES = 0, 1, 2, 3, 6, 7, 10, 11
@@ -314,20 +312,11 @@ def random_marker(random):
     )
 
 
-def source_of(scene):
-    """A source of markers without a node."""
-    node = SimpleNamespace(get_logger=logging.getLogger, get_clock=lambda: None)
-    settings = SourceSettings(
-        *('test', 'MarkerArray', 'test', '', False, 0.0), {'meshes': 'convex'}
-    )
-    return create_source(node, settings, scene, SimpleNamespace(into_node=into_map))
-
-
 def test_any_message_ends_as_if_it_were_read_marker_by_marker():
     random = Random(7)
     for _ in range(100):
         scene, told = NodeScene(), ToldScene()
-        source = source_of(scene)
+        source = source_of(scene, into_map)
         for _ in range(6):
             array = [random_marker(random) for _ in range(random.randrange(12))]
             ended(source.apply([serialize_message(MarkerArray(markers=array))], NOW))

@@ -2,12 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Obstacles whose meshes are files: which files may be read, and what is known meanwhile."""
 
-import logging
 import os
 import struct
 import time
 from functools import partial
-from types import SimpleNamespace
 from urllib.parse import quote
 
 import numpy as np
@@ -15,12 +13,11 @@ import pytest
 from rclpy.serialization import serialize_message
 from ros.messages import marker
 from ros.patience import PATIENCE
-from ros.sources.changes import change_of
+from ros.sources.changes import change_of, source_of
 from ros.sources.generators import ended
 from scene.reference import box_of_triangles
 from visualization_msgs.msg import MarkerArray
 
-from bvh_ros.ros.access import SourceSettings, create_source
 from bvh_ros.scene import AS_CONVEX, AS_SOLID, NodeScene, ShapeKind
 
 MOST_SECONDS = 'bvh_ros.ros.sources.mesh_resources.MOST_SECONDS'
@@ -269,10 +266,7 @@ def test_without_files_they_are_refused():
 def test_it_is_unknown_until_the_scene_holds_it(finder, files):
     """A source is asked at every pause."""
     scene = NodeScene()
-    node = SimpleNamespace(get_logger=logging.getLogger, get_clock=lambda: None)
-    settings = SourceSettings(*('s', 'MarkerArray', 't', '', False, 0.0), {'meshes': AS_SOLID})
-    frames = SimpleNamespace(into_node=lambda _frame, _stamp: None)
-    source = create_source(node, settings, scene, frames)
+    source = source_of(scene, meshes=AS_SOLID)
     source.mesh_files = lambda: finder
     array = [resource(1, f'file://{files}/meshes/a.stl')]
     array += [marker(k, (k, 0, 0)) for k in range(2, 20_000)]

@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """Large messages that come faster than they can be applied."""
 
-import numpy as np
 import pytest
 from ros.messages import marker
 from visualization_msgs.msg import MarkerArray
@@ -23,25 +22,6 @@ def test_small_changes_wait_for_a_large_one_and_keep_their_order(world):
     assert world.names('raycast', *beside) == []
     assert world.names('raycast', (99, 699, 5), (99, 699, -5)) == [f'large/0#{count - 1}']
     assert int(world.status('source markers').values['messages']) >= 103
-    assert world.trigger('validate').success
-
-
-@pytest.mark.slow
-def test_large_clouds_that_come_at_once_end_as_the_last_one(start_node):
-    world = start_node({'sources': ['c'], 'c': {'type': 'PointCloud2', 'topic': 'c'}})
-    count, at = 130_000, np.arange(130_001.0)
-    for height in (0, 10, 20):
-        z = np.where(at == 7, np.nan, height)
-        cloud = {'x': at % 500, 'y': at // 500, 'z': z}
-        world.publish('c', cloud(cloud, kind='f4'))
-    row = count
-    where = row % 500, row // 500
-    world.until(lambda: world.names('raycast', (*where, 21), (*where, 19)) == [f'c#{row}'])
-    for height, expected in ((0, []), (10, []), (20, [f'c#{row}'])):
-        ends = (*where, height + 1), (*where, height - 1)
-        world.until(lambda: world.names('raycast', *ends) == expected)  # noqa: B023
-    world.until(lambda: world.status('source c').values['points skipped'] in '123')
-    world.until(lambda: world.status('world').values['obstacles'] == str(count))
     assert world.trigger('validate').success
 
 

@@ -35,9 +35,14 @@ def clean(several):
 
 
 def test_a_cloud_replaces_the_one_before(clean):
+    def skipped():
+        return int(clean.status('source points').values['points skipped'])
+
+    before = skipped()
     columns = {'x': [0, 10, math.nan], 'y': [0, 0, 0], 'z': [0, 0, 0]}
     clean.publish('points', cloud(columns, kind='f4'))
     clean.holds('points#0', 'points#1')
+    assert skipped() == before + 1
     assert clean.names('raycast', (-9, 0.25, 0), (9, 0.25, 0)) == ['points#0']  # voxel 0.5
     assert clean.names('raycast', (-9, 0.26, 0), (9, 0.26, 0)) == []
     clean.publish('points', cloud({'x': [5], 'y': [0], 'z': [0]}))

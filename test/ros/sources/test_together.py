@@ -4,17 +4,16 @@
 
 import math
 
-import pytest
-import rclpy
 from geometry_msgs.msg import Point
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from rclpy.qos import QoSProfile
 from rclpy.serialization import serialize_message
 from ros.messages import marker, write
+from ros.sources.changes import source_of
 from visualization_msgs.msg import Marker, MarkerArray
 
-from bvh_ros.ros.access import DEPTH, Frames, SourceSettings, create_source
+from bvh_ros.ros.access import DEPTH, Frames
 from bvh_ros.scene import NodeScene
 
 CUBE, SPHERE, CUBE_LIST, TRIANGLE_LIST, UNKNOWN = 1, 2, 6, 11, 99
@@ -51,20 +50,11 @@ def standing(source):
     return {it.name: (it.kind, *it.position, *it.orientation, *it.size) for it in held}
 
 
-@pytest.fixture(scope='module')
-def node(ros_context):
-    found = rclpy.create_node('together')
-    yield found
-    found.destroy_node()
-
-
 @settings(max_examples=100, deadline=None)
 @given(st.lists(st.lists(serialised, min_size=1, max_size=6), max_size=4))
-def test_several_messages_at_once_are_as_good_as_one_by_one(node, groups):
-    options = {'predict': 'none', 'meshes': 'convex'}
-    told = SourceSettings('s', 'MarkerArray', 't', '', False, 0.0, options)
-    frames = Frames('map')
-    alone, joined = (create_source(node, told, NodeScene(), frames) for _ in range(2))
+def test_several_messages_at_once_are_as_good_as_one_by_one(groups):
+    into_node = Frames('map').into_node
+    alone, joined = (source_of(NodeScene(), into_node) for _ in range(2))
     for group in groups:
         for message in group:
             alone.receive([message])
