@@ -245,11 +245,7 @@ class World:
             self.node.destroy_subscription(subscription)
 
 
-# What needs no ROS, or not for all of its tests.
-WITHOUT_ROS = {
-    *('test_octomap.py', 'test_rotations.py', 'test_compilation.py', 'test_frames.py'),
-    *('test_occupancy_grid.py', 'test_point_cloud2.py'),
-}
+WITHOUT_ROS = 'test_octomap.py', 'test_rotations.py', 'test_compilation.py'
 
 
 class NoRos(pytest.Module):

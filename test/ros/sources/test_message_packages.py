@@ -346,14 +346,6 @@ def test_after_the_scene_was_cleared_there_is_nothing_to_move(heard):
     assert 'no such object to move' in it.hear(collision_object('a', MOVE))[0]
 
 
-def test_bytes_that_are_no_object_are_refused(heard):
-    it, message = heard('CollisionObject'), serialize_message(two())
-    for length in range(4, len(message) - 4, 7):
-        it.source.apply_now(message[:length], 1)
-        assert 'beyond the end' in it.source.refused.last
-    assert it.names == set()
-
-
 def test_in_a_planar_node_objects_are_footprints(heard):
     it = heard('CollisionObject', planar=True)
     parts = {'primitives': [solid(BOX, 1, 1, 1), solid(CONE, 1, 1)], 'meshes': [mesh()]}

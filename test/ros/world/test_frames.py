@@ -8,6 +8,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from ros.messages import marker
 from scipy.spatial.transform import Rotation
 
 from bvh_ros.ros.access import (
@@ -41,7 +42,6 @@ class FakeTransformError(Exception):
 
 @pytest.fixture
 def tf2(monkeypatch):
-    pytest.importorskip('rclpy', reason='rclpy is not installed', exc_type=ImportError)
     listened = []
     module = SimpleNamespace(
         Buffer=FakeBuffer,
@@ -131,8 +131,6 @@ def test_fixed_transforms_that_cannot_be(fixed, complaint):
 
 
 def test_fixed_transforms_over_ros(start_node):
-    from ros.messages import marker
-
     world = start_node(
         {
             'use_tf': False,
