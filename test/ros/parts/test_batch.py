@@ -53,7 +53,7 @@ class Asker:
 
     def take(self, reply):
         if reply.header.stamp.sec == NO_QUESTION:
-            self.heard = reply.width == 0  # no rays, no hits
+            self.heard, self.first = True, reply
         else:
             self.replies[reply.header.stamp.sec] = reply
 
@@ -79,7 +79,9 @@ def stacked(rows, names):
 @pytest.fixture(scope='module')
 def asker(world):
     BOXES.fill(world)
-    return Asker(world)
+    asker = Asker(world)
+    assert asker.first.width == 0  # no rays, no hits
+    return asker
 
 
 def random_rays(count=RAYS):
