@@ -142,4 +142,4 @@ def test_a_node_without_the_services_is_an_error_in_time(client_of):
 def test_without_the_package_the_error_names_it(client_of, monkeypatch):
     monkeypatch.setitem(__import__('sys').modules, 'bvh_msgs', None)
     with pytest.raises(BvhError, match='bvh_msgs'):
-        client_of('/nobody/bvh').clearance_many(SHAPES)
+        client_of('/nobody/bvh', timeout=0.1).clearance_many(SHAPES)
