@@ -4,6 +4,7 @@
 
 import threading
 import time
+from contextlib import contextmanager
 
 import pytest
 
@@ -16,7 +17,7 @@ from nav_msgs.srv import GetPlan
 from rcl_interfaces.msg import ParameterValue
 from rcl_interfaces.srv import GetParameters
 from rclpy.executors import SingleThreadedExecutor
-from ros.patience import PATIENCE
+from ros.patience import PATIENCE, spin_until
 
 from bvh_ros.client import BvhClient, BvhError, BvhTimeoutError, Hit
 from bvh_ros.ros.access import REQUESTS
@@ -96,32 +97,47 @@ def client(node):
     return client
 
 
+@pytest.fixture
+def executor(client, context):
+    """Who may spin the client's node."""
+    executor = SingleThreadedExecutor(context=context)
+    executor.add_node(client.node)
+    yield executor
+    executor.shutdown()
+
+
+@contextmanager
+def spinning(executor):
+    """Spin in a thread meanwhile."""
+    thread = threading.Thread(target=executor.spin)
+    thread.start()
+    yield
+    executor.shutdown()
+    thread.join()
+
+
 @pytest.fixture(
     params=['nobody spins', 'spun in a thread', 'between spins', 'left by its executor', 'second']
 )
-def any_client(request, client, context):
+def any_client(request, client):
     """The client of a node that nobody spins, that is spun now and then, or all the time."""
-    if request.param in ('nobody spins', 'second'):
-        if request.param == 'second':
-            assert client.raycast((0, 0, 0), (1, 0, 0)) is None
-            client = BvhClient(client.node, timeout=PATIENCE)
-            client.wait_until_ready(PATIENCE)
+    if request.param == 'nobody spins':
         yield client
-        return
-    executor = SingleThreadedExecutor(context=context)
-    executor.add_node(client.node)
-    if request.param != 'spun in a thread':
+    elif request.param == 'second':
+        assert client.raycast((0, 0, 0), (1, 0, 0)) is None
+        second = BvhClient(client.node, timeout=PATIENCE)
+        second.wait_until_ready(PATIENCE)
+        yield second
+    else:
+        executor = request.getfixturevalue('executor')
+        if request.param == 'spun in a thread':
+            with spinning(executor):
+                yield client
+            return
         executor.spin_once(0.01)
         if request.param == 'left by its executor':  # as `rclpy.spin_once` does
             executor.remove_node(client.node)
         yield client
-        executor.shutdown()
-        return
-    thread = threading.Thread(target=executor.spin)
-    thread.start()
-    yield client
-    executor.shutdown()
-    thread.join()
 
 
 def test_raycast(any_client, server):
@@ -226,7 +242,7 @@ def test_a_node_is_ready_when_it_offers_all_services(context, last):
         node.destroy_node()
 
 
-def test_async_inside_a_callback(client, context):
+def test_async_inside_a_callback(client, executor):
     """A timer's callback asks and awaits, in the one thread that spins."""
     answers = []
 
@@ -240,17 +256,12 @@ def test_async_inside_a_callback(client, context):
         except BvhError as error:
             answers.append(str(error))
 
-    executor = SingleThreadedExecutor(context=context)
-    executor.add_node(client.node)
     timer = client.node.create_timer(0.01, tick)
-    deadline = time.monotonic() + PATIENCE
-    while len(answers) < 4 and time.monotonic() < deadline:
-        executor.spin_once(0.1)
-    executor.shutdown()
+    spin_until(executor, lambda: len(answers) == 4)
     assert [getattr(answer, 'name', answer) for answer in answers] == ['a/0', 3, 2, 'no world']
 
 
-def test_plain_calls_inside_callbacks_and_in_many_threads(client, context):
+def test_plain_calls_inside_callbacks_and_in_many_threads(client, executor):
     others = [BvhClient(client.node, timeout=PATIENCE) for _ in range(2)]
     for other in others:
         other.wait_until_ready(PATIENCE)
@@ -260,12 +271,8 @@ def test_plain_calls_inside_callbacks_and_in_many_threads(client, context):
         timer.cancel()
         answers.append(client.raycast((0, 0, 0), (1, 0, 0), 1.0).name)
 
-    executor = SingleThreadedExecutor(context=context)
-    executor.add_node(client.node)
     timer = client.node.create_timer(0.01, tick)
-    deadline = time.monotonic() + PATIENCE
-    while not answers and time.monotonic() < deadline:
-        executor.spin_once(0.1)
+    spin_until(executor, lambda: answers)
     assert answers == ['a/0']
 
     def ask(own, count):
@@ -281,10 +288,9 @@ def test_plain_calls_inside_callbacks_and_in_many_threads(client, context):
     while any(thread.is_alive() for thread in threads):
         executor.spin_once(0.001)  # which takes some of the replies
     assert answers[1:] == [0] * 40
-    executor.shutdown()
 
 
-def test_an_awaited_answer_that_a_plain_call_took(client, context):
+def test_an_awaited_answer_that_a_plain_call_took(client, executor):
     """The coroutine goes on, though its executor did not see the reply come."""
     answers = []
 
@@ -292,27 +298,20 @@ def test_an_awaited_answer_that_a_plain_call_took(client, context):
         timer.cancel()
         answers.append((await client.raycast_async((0, 0, 0), (1, 0, 0), 1.0)).name)
 
-    executor = SingleThreadedExecutor(context=context)
-    executor.add_node(client.node)
     timer = client.node.create_timer(0.01, tick)
-    thread = threading.Thread(target=executor.spin)
-    thread.start()
     deadline = time.monotonic() + PATIENCE
-    while not answers and time.monotonic() < deadline:
-        assert client.raycast((0, 0, 0), (1, 0, 0)) is None
-    executor.shutdown()
-    thread.join()
+    with spinning(executor):
+        while not answers and time.monotonic() < deadline:
+            assert client.raycast((0, 0, 0), (1, 0, 0)) is None
     assert answers == ['a/0']
 
 
-def test_a_thousand_requests_on_the_way(client, context):
+def test_a_thousand_requests_on_the_way(client, request):
     replies = [client.raycast_async((0, 0, 0), (1, 0, 0)) for _ in range(1000)]
-    executor = SingleThreadedExecutor(context=context)
-    executor.add_node(client.node)
+    executor = request.getfixturevalue('executor')  # begins to spin when all are on the way
     for reply in replies:
         executor.spin_until_future_complete(reply, PATIENCE)
         assert reply.done()
-    executor.shutdown()
 
 
 def test_a_node_that_compiles_is_not_ready_after_a_shutdown(context, server, node, monkeypatch):

@@ -4,8 +4,6 @@
 
 import re
 import signal
-import subprocess
-import sys
 import time
 import urllib.request
 from pathlib import Path
@@ -14,25 +12,11 @@ import pytest
 
 pytest.importorskip('rclpy', reason='rclpy is not installed', exc_type=ImportError)
 
+import sys
+
+from demos import finished, rows_of, start
+
 from bvh_ros import demo, scenarios
-
-ROW = re.compile(r'^ *\d+\.\d  .+ +(free|\S+/\d+.* \(.+, .+, .+\)) +\d+\.\d+$')
-
-
-def start(*arguments):
-    command = [sys.executable, str(Path(__file__).with_name('patient_demo.py')), *arguments]
-    return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-
-
-def finished(process):
-    """Exit code, table, and what else was said."""
-    output, errors = process.communicate(timeout=3000)
-    assert 'Traceback' not in errors
-    return process.returncode, output, errors
-
-
-def rows_of(output):
-    return [line for line in output.splitlines() if ROW.match(line)]
 
 
 @pytest.mark.slow
@@ -115,14 +99,19 @@ def test_a_picture_needs_no_node(tmp_path):
 
 
 @pytest.mark.parametrize(
-    'arguments',
+    ('arguments', 'reason'),
     [
-        ('--replay', '/nowhere.csv'),
-        ('--speed', '0'),
-        ('--speed', 'nan'),
-        ('--view', '--picture', 'a.png'),
-        ('--picture', '/nowhere/a.png'),
+        (('--replay', '/nowhere'), 'there is no file or folder'),
+        (('--topic', '/a'), '--topic is for bags'),
+        (('--domain', '233'), '--domain'),
+        (('--speed', '0'), '--speed'),
+        (('--speed', 'nan'), '--speed'),
+        (('--view', '--picture', 'a.png'), '--picture'),
+        (('--picture', '/nowhere/a.png'), '/nowhere/a.png'),
     ],
 )
-def test_wrong_arguments(arguments):
-    assert finished(start(*arguments))[0] == 2
+def test_wrong_arguments(capsys, arguments, reason):
+    with pytest.raises(SystemExit) as ended:
+        sys.exit(demo.main(arguments))
+    assert ended.value.code == 2
+    assert reason in capsys.readouterr().err

@@ -4,10 +4,7 @@
 
 import csv
 import re
-import subprocess
-import sys
 from collections import defaultdict
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,8 +12,9 @@ import pytest
 pytest.importorskip('rclpy', reason='rclpy is not installed', exc_type=ImportError)
 pytest.importorskip('rosbags', reason='rosbags is not installed')
 
-from nav_msgs.msg import OccupancyGrid
-from rclpy.serialization import serialize_message
+from bag_files import write
+from demos import finished, rows_of, start
+from ros.messages import cloud, grid, marker
 from rosbags.interfaces import (
     Qos,
     QosDurability,
@@ -27,15 +25,11 @@ from rosbags.interfaces import (
 )
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
-from sensor_msgs.msg import PointCloud2, PointField
 from std_msgs.msg import String
-from visualization_msgs.msg import Marker, MarkerArray
+from visualization_msgs.msg import MarkerArray
 
 from bvh_ros import bags, scenarios
 
-JAZZY = get_typestore(Stores.ROS2_JAZZY)
-ROW = re.compile(r'^ *\d+\.\d  .+ +(free|\S+[/#]\d+.* \(.+, .+, .+\)) +\d+\.\d+$')
-MCAP, SQLITE = StoragePlugin.MCAP, StoragePlugin.SQLITE3
 NEVER = QosTime(0, 0)
 LATCHED = Qos(
     QosHistory.KEEP_LAST,
@@ -44,24 +38,6 @@ LATCHED = Qos(
     QosDurability.TRANSIENT_LOCAL,
     *(NEVER, NEVER, QosLiveliness.AUTOMATIC, NEVER, False),
 )
-
-
-def write(path, topics, *, storage=MCAP, qos=()):
-    """A bag with these topics: name -> list of (seconds, message)."""
-    with Writer(path, version=9, storage_plugin=storage) as writer:
-        for topic, messages in topics.items():
-            package, kind = (
-                type(messages[0][1]).__module__.split('.')[0],
-                type(messages[0][1]).__name__,
-            )
-            connection = writer.add_connection(
-                topic, f'{package}/msg/{kind}', typestore=JAZZY, offered_qos_profiles=qos
-            )
-            for seconds, message in messages:
-                writer.write(
-                    connection, 10**18 + int(seconds * 1e9), bytes(serialize_message(message))
-                )
-    return path
 
 
 def traffic(shared_data, frames, frame_id='odom'):
@@ -77,27 +53,20 @@ def traffic(shared_data, frames, frame_id='odom'):
 
 
 def vehicle(row, frame_id):
-    marker = Marker(ns='car', id=int(row['id']), type=Marker.CUBE)
-    marker.header.frame_id = frame_id
-    at, turn, size = marker.pose.position, marker.pose.orientation, marker.scale
-    at.x, at.y, at.z = float(row['cx']), float(row['cy']), float(row['cz'])
-    turn.z, turn.w = float(row['qz']), float(row['qw'])
-    size.x, size.y, size.z = float(row['sx']), float(row['sy']), float(row['sz'])
-    return marker
+    at, size, turn = (
+        [float(row[name]) for name in names.split()]
+        for names in ('cx cy cz', 'sx sy sz', 'qx qy qz qw')
+    )
+    return marker(row['id'], at, size, turn=turn, ns='car', frame=frame_id)
 
 
 def building(shared_data):
     """72,153 cubes as one cloud."""
     file = shared_data / 'octomap_fr079' / 'occupied_voxels.csv'
-    table = np.loadtxt(file, delimiter=',', skiprows=1)[:, (0, 1, 2, 3, 3, 3)].astype('<f4')
-    cloud = PointCloud2(height=1, width=len(table), point_step=24, row_step=24 * len(table))
-    cloud.header.frame_id = 'map'
-    cloud.fields = [
-        PointField(name=name, offset=4 * i, datatype=PointField.FLOAT32, count=1)
-        for i, name in enumerate(('x', 'y', 'z', 'sx', 'sy', 'sz'))
-    ]
-    cloud.data.frombytes(table.tobytes())
-    return [(0.0, cloud)], len(table)
+    table = np.loadtxt(file, delimiter=',', skiprows=1)[:, (0, 1, 2, 3, 3, 3)]
+    message = cloud(dict(zip(('x', 'y', 'z', 'sx', 'sy', 'sz'), table.T, strict=True)), kind='f4')
+    message.header.frame_id = 'map'
+    return [(0.0, message)], len(table)
 
 
 def floor(shared_data):
@@ -107,29 +76,15 @@ def floor(shared_data):
     columns, rows = np.rint(cells[:, :2] / 0.1 - 0.5).astype(int).T
     values = np.zeros((rows.max() + 1, columns.max() + 1), np.int8)
     values[rows, columns] = 100
-    grid = OccupancyGrid(data=values.ravel().tolist())
-    grid.info.height, grid.info.width = values.shape
-    grid.info.resolution = 0.1
-    return [(0.0, grid)]
-
-
-def demo(*arguments):
-    return subprocess.run(
-        [sys.executable, Path(__file__).with_name('patient_demo.py'), *map(str, arguments)],
-        capture_output=True,
-        text=True,
-        timeout=1500,
-        check=False,
-    )
+    return [(0.0, grid(values, 0.1))]
 
 
 def played(*arguments):
     """The output of a demo that ended well, and how many rows its table has."""
-    result = demo(*arguments)
-    assert result.returncode == 0, result.stdout + result.stderr
-    assert 'Traceback' not in result.stderr
-    assert '0 errors' in result.stdout
-    return result.stdout, sum(bool(ROW.match(line)) for line in result.stdout.splitlines())
+    code, output, errors = finished(start(*arguments))
+    assert code == 0, output + errors
+    assert '0 errors' in output
+    return output, len(rows_of(output))
 
 
 @pytest.mark.slow
@@ -159,7 +114,12 @@ def test_a_cloud_in_a_bare_file(shared_data, tmp_path):
 
 @pytest.mark.slow
 def test_a_latched_map_in_sqlite(shared_data, tmp_path):
-    path = write(tmp_path / 'bag', {'/map': floor(shared_data)}, storage=SQLITE, qos=[LATCHED])
+    path = write(
+        tmp_path / 'bag',
+        {'/map': floor(shared_data)},
+        storage=StoragePlugin.SQLITE3,
+        qos=[LATCHED],
+    )
     assert bags.find(path).tracks[0].transient_local
     output, rows = played('--replay', path)
     assert '/map (OccupancyGrid): 1 messages' in output
@@ -168,29 +128,18 @@ def test_a_latched_map_in_sqlite(shared_data, tmp_path):
 
 
 def box(number, at, size):
-    row = dict.fromkeys(('qx', 'qy', 'qz'), 0) | {'id': number, 'qw': 1}
-    row |= dict(zip(('cx', 'cy', 'cz', 'sx', 'sy', 'sz'), (*at, *size), strict=True))
-    return MarkerArray(markers=[vehicle(row, 'map')])
-
-
-def point_cloud(*points):
-    cloud = PointCloud2(height=1, width=len(points), point_step=12, row_step=12 * len(points))
-    cloud.header.frame_id = 'map'
-    cloud.fields = [
-        PointField(name=name, offset=4 * i, datatype=PointField.FLOAT32, count=1)
-        for i, name in enumerate('xyz')
-    ]
-    cloud.data.frombytes(np.array(points, '<f4').tobytes())
-    return cloud
+    return MarkerArray(markers=[marker(number, at, size, ns='car')])
 
 
 @pytest.mark.slow
 def test_all_topics_with_obstacles_at_once(tmp_path):
     """Two use the same names. The corners are those of the boxes, not of points on them."""
+    points = cloud({'x': [5, 6], 'y': [-9, -9], 'z': [0, 0]}, kind='f4')
+    points.header.frame_id = 'map'
     topics = {
         '/cars': [(0.0, box(1, (0, 0, 0), (4, 4, 4))), (2.5, box(2, (0, 5, 0), (2, 2, 2)))],
         '/people': [(0.1, box(1, (20, 0, 0), (2, 2, 6)))],
-        '/lidar/points': [(0.2, point_cloud((5, -9, 0), (6, -9, 0)))],
+        '/lidar/points': [(0.2, points)],
         '/chatter': [(0.3, String(data='x'))],
     }
     path = write(tmp_path / 'bag', topics)
@@ -221,10 +170,9 @@ def test_bags_that_cannot_be_played(tmp_path):
     ):
         with pytest.raises(bags.BagError, match=reason):
             bags.find(path, topic)
-    result = demo('--replay', chatter)
-    assert result.returncode == 1
-    assert result.stderr.startswith('bvh_demo: the bag has no topic of type')
-    assert 'Traceback' not in result.stderr
+    code, _, errors = finished(start('--replay', chatter))
+    assert code == 1
+    assert errors.startswith('bvh_demo: the bag has no topic of type')
 
 
 def test_a_file_that_is_no_track_file(tmp_path):
@@ -233,19 +181,6 @@ def test_a_file_that_is_no_track_file(tmp_path):
         path.write_bytes(content)
         with pytest.raises(RuntimeError, match=r'tracks\.csv is no track file: '):
             next(scenarios.tracks(path))
-
-
-@pytest.mark.parametrize(
-    ('arguments', 'reason'),
-    [
-        (('--replay', '/nowhere'), 'there is no file or folder'),
-        (('--topic', '/a'), '--topic is for bags'),
-    ],
-)
-def test_arguments_that_make_no_sense(arguments, reason):
-    result = demo(*arguments)
-    assert result.returncode == 2
-    assert reason in result.stderr
 
 
 def test_a_recording_without_obstacles_is_said_to_be_one():
@@ -266,7 +201,7 @@ def test_another_definition_of_a_type_is_refused(tmp_path):
 
     other = get_typestore(Stores.EMPTY)
     other.register(get_types_from_msg('int32 cells', 'nav_msgs/msg/OccupancyGrid'))
-    with Writer(tmp_path / 'bag', version=9, storage_plugin=MCAP) as writer:
+    with Writer(tmp_path / 'bag', version=9, storage_plugin=StoragePlugin.MCAP) as writer:
         connection = writer.add_connection('/map', 'nav_msgs/msg/OccupancyGrid', typestore=other)
         writer.write(connection, 1, b'\x00\x01\x00\x00\x07\x00\x00\x00')
     with pytest.raises(bags.BagError, match='another definition'):

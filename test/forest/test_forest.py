@@ -54,6 +54,23 @@ def anywhere(rng: np.random.Generator, ndim: int) -> tuple[Any, Any]:
     return lo, lo + rng.uniform(0, 2, (COUNT, ndim))
 
 
+@pytest.fixture
+def whole(tmp_path):
+    """The folder of a forest of a lattice."""
+    folder = tmp_path / 'forest'
+    Forest.build(folder, [lattice(np.random.default_rng(0), 3)], 500)
+    return folder
+
+
+EVERYTHING = [[-1e9] * 3], [[1e9] * 3]
+
+
+def copied(folder, name):
+    """A copy of a forest beside it."""
+    shutil.rmtree(folder.parent / name, ignore_errors=True)
+    return Path(shutil.copytree(folder, folder.parent / name))
+
+
 def planted(folder: Path, lo: Any, hi: Any, mask: Any, max_boxes: int) -> Forest:
     chunks = (
         (lo[i : i + 700], hi[i : i + 700], mask[i : i + 700]) for i in range(0, len(lo), 700)
@@ -175,15 +192,14 @@ def test_bad_chunks_leave_nothing_behind(tmp_path, chunks, why):
     assert not list(tmp_path.iterdir())
 
 
-def test_bad_arguments(tmp_path):
+def test_bad_arguments(tmp_path, whole):
     lo, hi = lattice(np.random.default_rng(0), 3)
-    folder = tmp_path / 'forest'
     for many in (0, -1, 1.5, 'x', 2**40):
         with pytest.raises(ValueError, match='max_boxes'):
-            Forest.build(folder, [(lo, hi)], many)
-    forest = Forest.build(folder, [(lo, hi)], 500)
+            Forest.build(tmp_path / 'none', [(lo, hi)], many)
+    forest = Forest.open(whole)
     with pytest.raises(FileExistsError):
-        Forest.build(folder, [(lo, hi)])
+        Forest.build(whole, [(lo, hi)])
     with pytest.raises(ValueError, match='row 1'):
         forest.raycast_many([[0, 0, 0], [0, np.nan, 0]], np.ones((2, 3)))
     with pytest.raises(ValueError, match='threads'):
@@ -194,38 +210,29 @@ def test_bad_arguments(tmp_path):
         forest.occluded_many(lo, lo, t_max=-1)
 
 
-def test_a_folder_that_is_no_forest_is_refused(tmp_path):
-    lo, hi = lattice(np.random.default_rng(0), 3)
-    whole = tmp_path / 'forest'
-    Forest.build(whole, [(lo, hi)], 500)
+def test_a_folder_that_is_no_forest_is_refused(tmp_path, whole):
     with pytest.raises(FileNotFoundError):
         Forest.open(tmp_path / 'nowhere')
     header = json.loads((whole / building.HEADER).read_text())
     wrong = [header | {key: 'y'} for key in ('version', 'parts', 'top')]
     texts = ['', '[]', 'x', '{}', *map(json.dumps, wrong)]
     for text in texts:
-        shutil.rmtree(tmp_path / 'other', ignore_errors=True)
-        shutil.copytree(whole, tmp_path / 'other')
-        (tmp_path / 'other' / building.HEADER).write_text(text)
+        other = copied(whole, 'other')
+        (other / building.HEADER).write_text(text)
         with pytest.raises(ValueError, match='no forest'):
-            Forest.open(tmp_path / 'other')
-    shutil.copytree(whole, tmp_path / 'torn')
-    building.ids_file(tmp_path / 'torn', 0).write_bytes(
-        building.ids_file(whole, 0).read_bytes()[:-8]
-    )
+            Forest.open(other)
+    torn, short = copied(whole, 'torn'), copied(whole, 'short')
+    building.ids_file(torn, 0).write_bytes(building.ids_file(whole, 0).read_bytes()[:-8])
     with pytest.raises(ValueError):  # whatever is asked: never an answer without that part
-        Forest.open(tmp_path / 'torn').overlap_many([[-1e9] * 3], [[1e9] * 3])
-    shutil.copytree(whole, tmp_path / 'short')
-    building.part_file(tmp_path / 'short', 1).unlink()
+        Forest.open(torn).overlap_many(*EVERYTHING)
+    building.part_file(short, 1).unlink()
     with pytest.raises(FileNotFoundError):
-        Forest.open(tmp_path / 'short').overlap_many([[-1e9] * 3], [[1e9] * 3])
+        Forest.open(short).overlap_many(*EVERYTHING)
 
 
-def test_files_of_two_forests_do_not_go_together(tmp_path):
+def test_files_of_two_forests_do_not_go_together(tmp_path, whole):
     """Nor those of two parts: whoever copies half of a folder gets no wrong answer."""
     lo, hi = lattice(np.random.default_rng(0), 3)
-    whole, everything = tmp_path / 'forest', ([[-1e9] * 3], [[1e9] * 3])
-    Forest.build(whole, [(lo, hi)], 500)
     Forest.build(tmp_path / 'other', [(lo + 1, hi + 1)], 500)
     files = [building.part_file(whole, 0), building.ids_file(whole, 0), whole / building.TOP]
     others = [
@@ -234,18 +241,15 @@ def test_files_of_two_forests_do_not_go_together(tmp_path):
         building.ids_file(whole, 1),
     ]
     for other in others:
-        shutil.rmtree(tmp_path / 'mixed', ignore_errors=True)
-        shutil.copytree(whole, tmp_path / 'mixed')
-        shutil.copy(other, tmp_path / 'mixed' / other.name.replace('000001', '000000'))
+        mixed = copied(whole, 'mixed')
+        shutil.copy(other, mixed / other.name.replace('000001', '000000'))
         with pytest.raises(ValueError, match='of another'):
-            Forest.open(tmp_path / 'mixed').overlap_many(*everything)
-    shutil.rmtree(tmp_path / 'mixed')
-    shutil.copytree(whole, tmp_path / 'mixed')
-    before = Forest.open(tmp_path / 'mixed')
+            Forest.open(mixed).overlap_many(*EVERYTHING)
+    before = Forest.open(copied(whole, 'mixed'))
     pickled = pickle.dumps(before)
-    shutil.rmtree(tmp_path / 'mixed')
-    os.rename(tmp_path / 'other', tmp_path / 'mixed')
-    for ask in (lambda: before.overlap_many(*everything), lambda: pickle.loads(pickled)):
+    shutil.rmtree(mixed)
+    os.rename(tmp_path / 'other', mixed)
+    for ask in (lambda: before.overlap_many(*EVERYTHING), lambda: pickle.loads(pickled)):
         with pytest.raises(ValueError, match='another forest'):
             ask()
 
@@ -324,14 +328,11 @@ def test_no_damaged_file_ends_the_process(tmp_path):
     assert wrong <= {'False same', 'False refused', 'False other'}, counts
 
 
-def test_ids_in_another_order_are_found(tmp_path):
+def test_ids_in_another_order_are_found(whole):
     """Each is given once, but to another box."""
-    rng = np.random.default_rng(4)
-    lo = rng.uniform(0.0, 100.0, (600, 3))
-    Forest.build(tmp_path / 'forest', [(lo, lo + 1.0)], 200)
-    file = next((tmp_path / 'forest').glob('part-*.ids.npy'))
+    file = next(whole.glob('part-*.ids.npy'))
     ids = np.load(file)
     ids[[3, 7]] = ids[[7, 3]]
     np.save(file, ids)
     with pytest.raises(ValueError, match='is of another forest or part'):
-        Forest.open(tmp_path / 'forest', verify=True)
+        Forest.open(whole, verify=True)

@@ -4,30 +4,26 @@
 
 from array import array
 from collections.abc import Sequence
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from sensor_msgs.msg import PointCloud2, PointField
 
 CODES = {'i1': 1, 'u1': 2, 'i2': 3, 'u2': 4, 'i4': 5, 'u4': 6, 'f4': 7, 'f8': 8}
 
 
-def field(name: str, offset: int, datatype: int, count: int = 1) -> SimpleNamespace:
-    return SimpleNamespace(name=name, offset=offset, datatype=datatype, count=count)
-
-
-def plain_cloud(
+def cloud(
     columns: dict[str, ArrayLike | Sequence[Any]],
     *,
-    kind: str = 'f4',
+    kind: str = 'f8',
     kinds: dict[str, str] | None = None,
     big: bool = False,
     padding: int = 0,
     row_padding: int = 0,
     height: int = 1,
-) -> SimpleNamespace:
-    """These fields, each of its own type, with gaps between points and rows; without ROS."""
+) -> PointCloud2:
+    """These fields, each of its own type, with gaps between points and rows."""
     kinds = {name: (kinds or {}).get(name, kind) for name in columns}
     row = np.dtype([(name, ('>' if big else '<') + kinds[name]) for name in columns])
     width = len(next(iter(columns.values()))) // height
@@ -37,24 +33,19 @@ def plain_cloud(
     table = np.ndarray((height, width), row, data, strides=(line, step))
     for name, column in columns.items():
         table[name] = np.reshape(column, (height, width))
-    return SimpleNamespace(
+    return PointCloud2(
         height=height,
         width=width,
         fields=[field(name, row.fields[name][1], CODES[kinds[name]]) for name in columns],
         is_bigendian=big,
         point_step=step,
         row_step=line,
-        data=bytes(data),
+        data=array('B', data),
     )
 
 
-def cloud(columns: dict[str, ArrayLike], *, kind: str = 'f8', **layout: Any) -> Any:
-    """A sensor_msgs/PointCloud2 with these fields."""
-    from sensor_msgs.msg import PointCloud2, PointField
-
-    given = vars(plain_cloud(columns, kind=kind, **layout))
-    fields = [PointField(**vars(each)) for each in given.pop('fields')]
-    return PointCloud2(fields=fields, data=array('B', given.pop('data')), **given)
+def field(name: str, offset: int, datatype: int, count: int = 1) -> PointField:
+    return PointField(name=name, offset=offset, datatype=datatype, count=count)
 
 
 def table(message: Any) -> NDArray[np.void]:

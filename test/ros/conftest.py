@@ -18,13 +18,11 @@ from typing import Any
 
 import pytest
 from ros import forking
-from ros.clouds import cloud
-from ros.patience import COMPILING, PATIENCE
+from ros.patience import COMPILING, PATIENCE, spin_until
 
 AGAIN = 1.0  # s: until a node that may not have found who asks is asked again
 STACKS = 0.5  # s: until a node has written what its threads do
 
-CUBE = 1
 EVERY_NODE = {  # the services that rclpy opens for each node
     'describe_parameters',
     'get_parameter_types',
@@ -49,6 +47,7 @@ class World:
         self.log = log
         self._clients: dict[str, Any] = {}
         self.publishers: dict[str, Any] = {}
+        self._subscriptions: list[Any] = []
         self._heard: Any = None
         self._statuses: dict[str, Any] = {}
 
@@ -78,6 +77,8 @@ class World:
 
     def plan(self, name: str, start: Any, goal: Any, **given: Any) -> Any:
         """Ask one of the GetPlan services and return the path."""
+        from ros.messages import get_plan
+
         return self.call(name, get_plan(start, goal, **given)).plan
 
     def names(self, name: str, start: Any, goal: Any, **given: Any) -> list[str]:
@@ -88,6 +89,13 @@ class World:
         """Names, too, but nobody where the node cannot answer yet: `names` has its error then."""
         names = self.names(*question)
         return [] if names[:1] and names[0].startswith('error: ') else names
+
+    def place(self, name: str, start: Any, goal: Any, **given: Any) -> tuple[float, ...]:
+        """Ask, and return where the only one is hit."""
+        from ros.messages import coordinates
+
+        (pose,) = self.plan(name, start, goal, **given).poses
+        return coordinates(pose)
 
     def everything(self) -> set[str]:
         """Return the names of all obstacles."""
@@ -116,14 +124,28 @@ class World:
 
         self.publish('bvh/obstacles', MarkerArray(markers=list(array)))
 
+    def holds(self, *names: str) -> None:
+        """Wait until the node knows these obstacles, and no other."""
+        self.until(lambda: self.everything() == set(names))
+
+    def show(self, *array: Any) -> None:
+        """Publish markers that add, and wait until the node knows them."""
+        names = {f'{marker.ns}/{marker.id}' for marker in array}
+        self.markers(*array)
+        self.until(lambda: self.everything() >= names)
+
+    def heard(self, kind: type, topic: str, qos: Any = 10) -> list[Any]:
+        """The messages on a topic of the node, as they come."""
+        found: list[Any] = []
+        heard = self.node.create_subscription(kind, f'{self.name}/{topic}', found.append, qos)
+        self._subscriptions.append(heard)
+        return found
+
     def until(
         self, condition: Callable[[], Any], timeout: float = PATIENCE, pause: float = 0.005
     ) -> None:
         """Spin until something is true."""
-        deadline = time.monotonic() + timeout
-        while not condition():
-            assert time.monotonic() < deadline, f'still not true; the node says:\n{self.said()}'
-            self.executor.spin_once(pause)
+        spin_until(self.executor, condition, timeout, pause, self.said)
 
     def until_compiled(self, condition: Callable[[], Any]) -> None:
         """Spin until something is true that takes kernels. Not too often: others compile, and a
@@ -133,6 +155,10 @@ class World:
 
     def status(self, what: str) -> Any:
         """The next status on /diagnostics of this part of the node: its level, text and values."""
+        return self.statuses()[what]
+
+    def statuses(self) -> dict[str, Any]:
+        """The next ones of all parts."""
         from diagnostic_msgs.msg import DiagnosticArray
 
         if self._heard is None:
@@ -143,8 +169,8 @@ class World:
             while self._heard.handle.take_message(DiagnosticArray, False) is not None:
                 pass  # what waits is older than what the caller has just seen
         self._statuses = {}
-        self.until(lambda: what in self._statuses)
-        return self._statuses[what]
+        self.until(lambda: self._statuses)
+        return self._statuses
 
     def until_found(self, timeout: float = PATIENCE) -> None:
         """Wait until the node has found all that was opened here: DDS announces it in order, and
@@ -215,6 +241,28 @@ class World:
             self.node.destroy_client(client)
         for publisher in self.publishers.values():
             self.node.destroy_publisher(publisher)
+        for subscription in self._subscriptions:
+            self.node.destroy_subscription(subscription)
+
+
+WITHOUT_ROS = 'test_octomap.py', 'test_rotations.py', 'test_compilation.py'
+
+
+class NoRos(pytest.Module):
+    """A file of tests that cannot be imported."""
+
+    def collect(self) -> Any:
+        pytest.skip('rclpy is not installed', allow_module_level=True)
+
+
+def pytest_pycollect_makemodule(module_path: Path, parent: Any) -> pytest.Module | None:
+    """Skip the files that need ROS where there is none."""
+    if module_path.name not in WITHOUT_ROS:
+        try:
+            import rclpy  # noqa: F401
+        except ImportError:
+            return NoRos.from_parent(parent, path=module_path)
+    return None
 
 
 @pytest.fixture(scope='session')
@@ -259,13 +307,13 @@ def start_node(ros: Any, tmp_path_factory: Any) -> Iterator[Callable[..., World]
         arguments += ['-r', remap] if remap else []
         log = folder / 'log.txt'
         process: Any
-        if fresh or script or module != 'node' or forking.settings() != forking.SETTINGS:
+        if fresh or script or forking.settings() != forking.SETTINGS:
             program = [sys.executable, *(script or ('-m', f'bvh_ros.ros.{module}'))]
             with log.open('wb') as output:
                 process = subprocess.Popen([*program, *arguments], stdout=output, stderr=output)
         else:
             log.touch()
-            process = forking.Fork(arguments, log)
+            process = forking.Fork(arguments, log, f'bvh_{module}')
         world = World(ros, process, namespace, log)
         _started.append(world)
         if wait:
@@ -311,101 +359,46 @@ def configure(ros: Any) -> Iterator[Callable[[dict[str, Any]], Any]]:
 
     from bvh_ros.ros.access import BvhServer
 
-    nodes = []
+    servers = []
 
     def start(parameters: dict[str, Any]) -> BvhServer:
         overrides = [Parameter(name, value=value) for name, value in parameters.items()]
-        nodes.append(Node('configured', parameter_overrides=overrides))
-        return BvhServer(nodes[-1])
+        node = Node('configured', parameter_overrides=overrides)
+        try:
+            servers.append(BvhServer(node))
+        except BaseException:
+            node.destroy_node()
+            raise
+        return servers[-1]
 
     yield start
-    for node in nodes:
-        node.destroy_node()
+    for server in servers:
+        server.destroy()
+        server.node.destroy_node()
 
 
 @pytest.fixture
-def diagnostics() -> Iterator[Callable[[World], dict[str, Any]]]:
-    """Listen to a node's diagnostics: the latest status of each of its parts, by short name."""
-    from diagnostic_msgs.msg import DiagnosticArray
+def client_of(ros_context: None) -> Iterator[Callable[..., Any]]:
+    """Make a client of a node, or of several by their names, on a node that nobody else spins."""
+    import rclpy
 
-    opened = []
+    from bvh_ros.client import BvhClient
 
-    def listen(world: World) -> dict[str, Any]:
-        seen: dict[str, Any] = {}
-        mine = f'{world.name.lstrip("/")}: '
+    nodes = []
 
-        def keep(message: Any) -> None:
-            for status in message.status:
-                if status.name.startswith(mine):
-                    seen[status.name.removeprefix(mine)] = status
+    def make(of: Any, timeout: float = PATIENCE) -> BvhClient:
+        nodes.append(rclpy.create_node('asker'))
+        return BvhClient(nodes[-1], of.name if isinstance(of, World) else of, timeout=timeout)
 
-        subscription = world.node.create_subscription(DiagnosticArray, '/diagnostics', keep, 10)
-        opened.append((world.node, subscription))
-        world.until(lambda: seen)
-        return seen
-
-    yield listen
-    for node, subscription in opened:
-        node.destroy_subscription(subscription)
+    yield make
+    for node in nodes:
+        node.destroy_node()
 
 
 @pytest.fixture
 def patient_client(monkeypatch: pytest.MonkeyPatch) -> None:
     """Where no row of a batch is answered, the client asks the node why, for a second only."""
     monkeypatch.setattr('bvh_ros.client.node.REFUSAL_PATIENCE', PATIENCE)
-
-
-# ---- messages
-
-
-def marker(
-    number: int, at: Sequence[float] = (0, 0, 0), size: Sequence[float] = (1, 1, 1), **given: Any
-) -> Any:
-    """A visualization_msgs/Marker."""
-    from geometry_msgs.msg import Point
-    from visualization_msgs.msg import Marker
-
-    message = Marker(
-        ns=given.get('ns', 'a'),
-        id=int(number),
-        type=given.get('type', CUBE),
-        action=given.get('action', 0),
-    )
-    pose, scale = message.pose, message.scale
-    pose.position.x, pose.position.y, pose.position.z = map(float, at)
-    turn = pose.orientation
-    turn.x, turn.y, turn.z, turn.w = map(float, given.get('turn', (0, 0, 0, 1)))
-    scale.x, scale.y, scale.z = map(float, size)
-    message.header.frame_id = given.get('frame', 'map')
-    message.header.stamp.sec = given.get('stamp', 0)
-    lifetime = given.get('lifetime', 0.0)
-    message.lifetime.sec, rest = int(lifetime), lifetime % 1
-    message.lifetime.nanosec = int(rest * 1e9)
-    points = ((float(x), float(y), float(z)) for x, y, z in given.get('points', ()))
-    message.points = [Point(x=x, y=y, z=z) for x, y, z in points]
-    return message
-
-
-def get_plan(start: Sequence[float], goal: Sequence[float], **given: Any) -> Any:
-    """A nav_msgs/GetPlan request."""
-    from nav_msgs.srv import GetPlan
-
-    request = GetPlan.Request(tolerance=float(given.get('tolerance', 0.0)))
-    for stamped, place in ((request.start, start), (request.goal, goal)):
-        at = stamped.pose.position
-        at.x, at.y, at.z = map(float, place)
-        stamped.header.frame_id = given.get('frame', '')
-    turn = request.start.pose.orientation
-    turn.x, turn.y, turn.z, turn.w = map(float, given.get('turn', (0, 0, 0, 0)))
-    return request
-
-
-@pytest.fixture(scope='session')
-def messages() -> Any:
-    """The makers of messages above, for tests that need them."""
-    from types import SimpleNamespace
-
-    return SimpleNamespace(marker=marker, get_plan=get_plan, cloud=cloud)
 
 
 # ---- ends

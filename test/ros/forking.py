@@ -17,14 +17,15 @@ from pathlib import Path
 
 _FORKS = multiprocessing.get_context('forkserver')
 _FORKS.set_forkserver_preload(['bvh_ros.ros.node'])
+LOOKS = 0.1  # seconds between two statuses, which tests wait for; users wait for 1 s
 IMPORTED = 'NUMBA_', 'BVH_ROS_', 'XDG_', 'PYTHON'  # what imports look at
 
 
 class Fork:
     """A forked process, which is used as a `subprocess.Popen` is."""
 
-    def __init__(self, arguments: Sequence[str], log: Path) -> None:
-        given = arguments, log, dict(os.environ)
+    def __init__(self, arguments: Sequence[str], log: Path, command: str = 'bvh_node') -> None:
+        given = arguments, log, command, dict(os.environ)
         self._process = _FORKS.Process(target=run_node, args=given)
         self._process.start()
         self.pid = self._process.pid
@@ -55,18 +56,23 @@ class Fork:
         self.send_signal(signal.SIGKILL)
 
 
-def run_node(arguments: Sequence[str], log: Path, environment: Mapping[str, str]) -> None:
-    """Do in this process what `bvh_node` does."""
+def run_node(
+    arguments: Sequence[str], log: Path, command: str, environment: Mapping[str, str]
+) -> None:
+    """Do in this process what `bvh_node`, or another command, does."""
     os.environ.clear()
     os.environ.update(environment)
     with log.open('wb') as output:
         os.dup2(output.fileno(), 1)
         os.dup2(output.fileno(), 2)
     faulthandler.register(signal.SIGUSR1)
-    sys.argv = ['bvh_node', *arguments]
-    from bvh_ros.commands import bvh_node
+    sys.argv = [command, *arguments]
+    from bvh_ros import commands
+    from bvh_ros.ros.parts import diagnostics
 
-    sys.exit(bvh_node())
+    diagnostics.PERIOD = LOOKS
+
+    sys.exit(getattr(commands, command)())
 
 
 def settings() -> dict[str, str]:

@@ -21,7 +21,6 @@ import numpy as np
 import rclpy
 from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Path as Poses
-from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import PointCloud2
 from std_srvs.srv import Trigger
@@ -29,11 +28,11 @@ from visualization_msgs.msg import Marker, MarkerArray
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 from ros.clouds import cloud, table
+from ros.messages import LATCHED, marker, stamp
 
 from bvh_ros.client import UNANSWERED, BvhClient
 from bvh_ros.ros import large_messages, running
 
-LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 START, GOAL, HIT = (-60.0, 0.0, 0.0), (-40.0, 0.0, 0.0), -50.5  # the x where the one cube is hit
 PAUSE = 0.002  # seconds between an answer and the next question
 LAST = 0.3  # seconds that are watched after a message is known
@@ -116,7 +115,10 @@ class Work:
         kind = columns['x'].dtype.str[1:]
         message = cloud(columns, kind=kind, kinds={'id': 'u4'})
         self.stamp = message.header.stamp = self.node.get_clock().now().to_msg()
-        send = self.sender(topic, message)
+        return self.known(self.sender(topic, message), at)
+
+    def known(self, send: Callable[[], None], at: Sequence[float]) -> Callable[[], None]:
+        """What sends a message, and waits until its obstacle at a place is known."""
 
         def publish_and_wait() -> None:
             send()
@@ -138,13 +140,8 @@ class Work:
         self._number += 1
         at = -20.0, float(self._number), 0.0
         markers = [cube('a', k, (k % 100, k // 100, self._number)) for k in range(1, rows)]
-        send = self.sender(topic, MarkerArray(markers=[cube('a', 0, at), *markers]))
-
-        def publish_and_wait() -> None:
-            send()
-            self.until(lambda: self.client.raycast((*at[:2], 5.0), (*at[:2], -5.0)))
-
-        return publish_and_wait
+        array = MarkerArray(markers=[cube('a', 0, at), *markers])
+        return self.known(self.sender(topic, array), at)
 
     def batch(self, asked: str, told: str, rows: int, message: Any) -> Callable[[], None]:
         """Prepare a batch of questions; return what publishes it and waits for its answer."""
@@ -255,13 +252,10 @@ class Work:
 
 
 def cube(space: str, number: int, at: Sequence[float]) -> Marker:
-    """A marker."""
-    marker = Marker(ns=space, id=number, type=Marker.CUBE)
-    pose, scale = marker.pose, marker.scale
-    pose.position.x, pose.position.y, pose.position.z = map(float, at)
-    scale.x = scale.y = scale.z = 1.0
-    marker.header.stamp.sec, marker.header.stamp.nanosec = divmod(time.time_ns(), 10**9)
-    return marker
+    """A marker of now."""
+    made = marker(number, at, ns=space)
+    made.header.stamp = stamp(time.time_ns())
+    return made
 
 
 @contextmanager

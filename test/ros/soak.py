@@ -7,8 +7,8 @@ python test/ros/soak.py --publish NAMESPACE publishes the boxes until it is ende
 from its standard input which frames the node knows, a line each, and never gets far ahead of them.
 
 A thousand boxes, half of them turning, come and go at 30 Hz, published by a process of its own.
-The answers to random rays, balls and boxes are compared with brute force on the frame that the
-reply says it knows of.
+The answers to random rays, balls and boxes are compared with those of a scene of the frame that
+the reply says it knows of.
 """
 
 import re
@@ -16,9 +16,9 @@ import struct
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from functools import partial
+from functools import lru_cache
 from pathlib import Path
 from tempfile import TemporaryFile
 from typing import IO, Any, NamedTuple
@@ -34,150 +34,80 @@ from rclpy.serialization import serialize_message
 from visualization_msgs.msg import Marker, MarkerArray
 
 from bvh_ros.ros import running
+from bvh_ros.scene import Scene, SceneHit, Shapes
 
 Floats = NDArray[np.float64]
 
-# ---- A thousand boxes that move, turn, come and go; brute force answers about them
+# ---- A thousand boxes that move, turn, come and go; a scene of the package answers about them
 
 
 BOXES = 1000
 SIDE = 40.0  # m, of the cube that holds the centres
 ABSENT, CYCLE = 20, 200  # frames: each box is away for 20 of 200
-UNDECIDED = 1e-7  # m: closer to touching than this, rounding may decide either way
 
 _RNG = np.random.default_rng(5)
 _BASE = _RNG.uniform(0.0, SIDE, (BOXES, 3))
 _REACH = _RNG.uniform(-4.0, 4.0, (BOXES, 3))  # m, of the swing
 _PACE = _RNG.uniform(0.005, 0.03, (BOXES, 1))  # radians a frame
 _TURN = np.where(np.arange(BOXES) % 2 == 0, 0.0, _RNG.uniform(-0.05, 0.05, BOXES))
-HALF = _RNG.uniform(0.2, 1.2, (BOXES, 3))
-"""Half edge lengths, m."""
+SIZE = _RNG.uniform(0.4, 2.4, (BOXES, 3))
+"""Edge lengths, m."""
 
 
-class NodeScene(NamedTuple):
+class Frame(NamedTuple):
     """The boxes of one frame; those that are away have a place, too."""
 
     present: np.ndarray  # (n,) bool
     centre: Floats  # (n, 3) m
-    yaw: Floats  # (n,) radians; every second box is never turned
-
-    def turned(self, points: Floats, back: bool = False) -> Floats:
-        """Points or directions (n, 3), one a box, from the boxes' own axes or back to them."""
-        c, s = np.cos(self.yaw), np.sin(self.yaw)
-        if back:
-            s = -s
-        x, y, z = points.T
-        return np.column_stack((c * x - s * y, s * x + c * y, z))
-
-    def entries(self, start: Floats, direction: Floats, grown: float) -> Floats:
-        """Where on start + t * direction, 0 to 1, each box is entered; inf where it is not."""
-        half = HALF + grown
-        origin = self.turned(start - self.centre, back=True)
-        along = self.turned(np.tile(direction, (BOXES, 1)), back=True)
-        with np.errstate(divide='ignore'):
-            one, other = (-half - origin) / along, (half - origin) / along
-        enter = np.maximum(np.minimum(one, other).max(axis=1), 0.0)
-        leave = np.minimum(np.maximum(one, other).min(axis=1), 1.0)
-        return np.where(self.present & (enter <= leave), enter, np.inf)
-
-    def closest(self, point: Floats) -> Floats:
-        """The point (n, 3) of each box that is closest to a point (3,)."""
-        local = self.turned(point - self.centre, back=True)
-        return self.centre + self.turned(np.clip(local, -HALF, HALF))
-
-    def gaps(self, centre: Floats, half: Floats | float) -> Floats:
-        """How far each box is from a ball of a radius, or from an aligned box of half edges.
-
-        Negative where they overlap, inf where a box is away. Of boxes it is the gap along the axis
-        that parts them most: all are upright prisms, so x, y, z and the boxes' own two horizontal
-        axes are enough (separating axes).
-        """
-        if isinstance(half, float):
-            gaps = np.linalg.norm(self.closest(centre) - centre, axis=1) - half
-        else:
-            offset = centre - self.centre
-            turn = np.abs(np.stack((np.cos(self.yaw), np.sin(self.yaw)), axis=1))
-            reach = np.column_stack(
-                (
-                    (HALF[:, :2] * turn).sum(axis=1),
-                    (HALF[:, :2] * turn[:, ::-1]).sum(axis=1),
-                    HALF[:, 2],
-                )
-            )
-            own = np.column_stack((turn @ half[:2], turn @ half[1::-1]))
-            gaps = np.hstack((
-                np.abs(offset) - half - reach,
-                np.abs(self.turned(offset, back=True))[:, :2] - HALF[:, :2] - own,
-            )).max(axis=1)  # fmt: skip
-        return np.where(self.present, gaps, np.inf)
+    turn: Floats  # (n, 4) quaternions about z; every second box is never turned
 
 
-def scene_at(frame: int) -> NodeScene:
+def frame_at(number: int) -> Frame:
     """The world of one frame; there is nothing before frame 0."""
-    phase = (frame + 13 * np.arange(BOXES)) % CYCLE
-    return NodeScene(
-        (phase >= ABSENT) & (frame >= 0), _BASE + _REACH * np.sin(_PACE * frame), _TURN * frame
+    phase = (number + 13 * np.arange(BOXES)) % CYCLE
+    half, zero = _TURN * number / 2, np.zeros(BOXES)
+    return Frame(
+        (phase >= ABSENT) & (number >= 0),
+        _BASE + _REACH * np.sin(_PACE * number),
+        np.column_stack((zero, zero, np.sin(half), np.cos(half))),
     )
 
 
-# ---- What is wrong with an answer, by brute force
+@lru_cache(maxsize=4)
+def scene_at(number: int) -> Scene:
+    """The same, without ROS."""
+    frame, scene = frame_at(number), Scene()
+    rows = np.flatnonzero(frame.present)
+    shapes = Shapes.boxes(frame.centre[rows], SIZE[rows], frame.turn[rows])
+    assert scene.update('soak', [f'soak/{row}' for row in rows], shapes, stamp=1) == []
+    return scene
 
 
-REPORTED = 1e-6  # m: a reported point may be this far from where it belongs
+# ---- What is wrong with an answer
+
+
+NEARLY = 1e-6  # m: of points at one distance, rounding may decide which is nearer
 
 
 class Found(NamedTuple):
-    """The boxes of an answer, and a point (k, 3) of each."""
+    """One obstacle of an answer."""
 
-    boxes: list[int]
-    points: Floats
-
-
-def ray_fault(scene: NodeScene, found: Found, start: Floats, goal: Floats, first: bool) -> str:
-    """Say what is wrong with the answer of a raycast, first hit or all."""
-    length = float(np.linalg.norm(goal - start))
-    along = (goal - start) / length
-    may, must = (length * scene.entries(start, goal - start, u) for u in (UNDECIDED, -UNDECIDED))
-    reached = (found.points - start) @ along  # m
-    if (np.abs(found.points - start - reached[:, None] * along) > REPORTED).any():
-        return 'a point is not on the segment'
-    early, late = may[found.boxes] - REPORTED, must[found.boxes] + REPORTED
-    if (reached < early).any() or (reached > late).any():
-        return 'a point is not where its box is entered'
-    if not first:
-        return _set_fault(found, np.isfinite(may), np.isfinite(must)) or _order_fault(reached)
-    if not found.boxes:
-        return 'free, but something is hit' if np.isfinite(must).any() else ''
-    return 'something else comes first' if must.min() < reached[0] - REPORTED else ''
+    name: str
+    point: tuple[float, ...]
 
 
-def overlap_fault(scene: NodeScene, found: Found, centre: Floats, half: Floats | float) -> str:
-    """Say what is wrong with the answer of an overlap with a ball or an aligned box.
-
-    Each point is its box's closest to the query's centre, and the nearest comes first.
+def fault(answer: Sequence[Found], hits: Sequence[SceneHit], origin: Floats, first: bool) -> str:
+    """Say what is wrong with an answer, of which a scene says these hits; obstacles that are as
+    far from the origin as each other may come in any order.
     """
-    gaps = scene.gaps(centre, half)
-    if fault := _set_fault(found, gaps <= UNDECIDED, gaps <= -UNDECIDED):
-        return fault
-    if (np.abs(found.points - scene.closest(centre)[found.boxes]) > REPORTED).any():
-        return "a point is not its box's closest"
-    return _order_fault(np.linalg.norm(found.points - centre, axis=1))
-
-
-def _set_fault(found: Found, may: np.ndarray, must: np.ndarray) -> str:
-    answered = np.bincount(found.boxes, minlength=BOXES)
-    for what, wrong in (
-        ('is named twice', answered > 1),
-        ('is missing', must & (answered == 0)),
-        ('is too much', ~may & (answered > 0)),
-    ):
-        if wrong.any():
-            return f'box {np.flatnonzero(wrong)[0]} {what}'
-    return ''
-
-
-def _order_fault(values: Floats) -> str:
-    return 'the order is wrong' if (np.diff(values) < -REPORTED).any() else ''
+    wanted = [Found(hit.name, tuple(hit.point.tolist())) for hit in hits]
+    if first:
+        wanted = [one for one, hit in zip(wanted, hits, strict=True) if hit.t == hits[0].t]
+        return '' if [*answer] in ([[one] for one in wanted] or [[]]) else f'not of {wanted}'
+    if sorted(answer) != sorted(wanted):
+        return f'{sorted({*answer} ^ {*wanted})} is in one of them'
+    far = [np.linalg.norm(np.subtract(one.point, origin)) for one in answer]
+    return 'the order is wrong' if (np.diff(far) < -NEARLY).any() else ''
 
 
 # ---- Random questions to the running node
@@ -204,30 +134,19 @@ class Asker:
         self._rng, self._turn = np.random.default_rng(), 0
 
     def ask(self) -> Answer:
-        """Ask the next question."""
+        """Ask the next question: rays, every second one for all hits, boxes and balls."""
         self._turn += 1
         uniform = self._rng.uniform
         if self._turn % 2:
             name = 'raycast' if self._turn % 4 == 1 else 'raycast_all'
-            start, goal = uniform(-4.0, SIDE + 4.0, (2, 3))
-            check = partial(ray_fault, start=start, goal=goal, first=name == 'raycast')
-            return self._checked(name, start, goal, 0.0, check)
+            return self._asked(name, *uniform(-4.0, SIDE + 4.0, (2, 3)), 0.0)
         centre, half = uniform(0.0, SIDE, 3), uniform(0.1, 4.0, 3)
         if self._turn % 4:
-            check = partial(overlap_fault, centre=centre, half=half)
-            return self._checked('overlap', centre - half, centre + half, 0.0, check)
-        radius = float(np.float32(uniform(0.1, 5.0)))  # tolerance is a float32
-        check = partial(overlap_fault, centre=centre, half=radius)
-        return self._checked('overlap', centre, centre, radius, check)
+            return self._asked('overlap', centre - half, centre + half, 0.0)
+        # tolerance is a float32
+        return self._asked('overlap', centre, centre, float(np.float32(uniform(0.1, 5.0))))
 
-    def _checked(
-        self,
-        name: str,
-        start: Floats,
-        goal: Floats,
-        tolerance: float,
-        check: Callable[[NodeScene, Found], str],
-    ) -> Answer:
+    def _asked(self, name: str, start: Floats, goal: Floats, tolerance: float) -> Answer:
         request = GetPlan.Request(tolerance=tolerance)
         for pose, point in ((request.start.pose, start), (request.goal.pose, goal)):
             pose.position = Point(**dict(zip('xyz', point.tolist(), strict=True)))
@@ -239,15 +158,20 @@ class Asker:
             self._clients[name].remove_pending_request(future)
             return Answer(-1, seconds, f'{name}: no answer within {TIMEOUT:g} s')
         plan = future.result().plan
-        frame, names = plan.header.stamp.sec - 1, [pose.header.frame_id for pose in plan.poses]
-        if names and names[0].startswith('error: '):
-            return Answer(-1, seconds, f'{name}: {names[0]}')
-        places = [pose.pose.position for pose in plan.poses]
-        points = np.array([(at.x, at.y, at.z) for at in places]).reshape(-1, 3)
-        boxes = [int(one.rpartition('/')[2]) for one in names]
-        fault = check(scene_at(frame), Found(boxes, points))
+        places = [(pose.header.frame_id, pose.pose.position) for pose in plan.poses]
+        found = [Found(name, (at.x, at.y, at.z)) for name, at in places]
+        if found and found[0].name.startswith('error: '):
+            return Answer(-1, seconds, f'{name}: {found[0].name}')
+        frame = plan.header.stamp.sec - 1
+        scene = scene_at(frame)
+        if name == 'overlap':
+            wrong = fault(
+                found, scene.overlap(start, goal, None, tolerance), (start + goal) / 2, False
+            )
+        else:
+            wrong = fault(found, scene.raycast_all(start, goal), start, name == 'raycast')
         query = f'frame {frame}, {name} {start.tolist()} {goal.tolist()} {tolerance!r}'
-        return Answer(frame, seconds, fault and f'{query}: {fault}')
+        return Answer(frame, seconds, wrong and f'{query}: {wrong}')
 
 
 # ---- The publisher of this world, a process of its own
@@ -276,12 +200,10 @@ class Frames:
 
     def message(self, frame: int) -> bytes:
         """Frame number `frame`, stamped with as many seconds and one."""
-        scene = scene_at(frame)
-        order = np.argsort(~scene.present, kind='stable')  # deletions come last
-        zero = np.zeros(BOXES)
-        turn = (zero, zero, np.sin(scene.yaw / 2), np.cos(scene.yaw / 2))
-        table = np.column_stack((scene.centre, *turn, 2.0 * HALF))[order]
-        actions = np.where(scene.present, Marker.ADD, Marker.DELETE)[order, None]
+        world = frame_at(frame)
+        order = np.argsort(~world.present, kind='stable')  # deletions come last
+        table = np.column_stack((world.centre, world.turn, SIZE))[order]
+        actions = np.where(world.present, Marker.ADD, Marker.DELETE)[order, None]
         self._write(self._stamps, np.full((BOXES, 1), 1 + frame))
         self._write(self._ids, order[:, None])
         self._write(self._ids + 8, actions)

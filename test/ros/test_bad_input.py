@@ -11,13 +11,10 @@ import math
 
 import numpy as np
 import pytest
-
-pytest.importorskip('rclpy', reason='rclpy is not installed', exc_type=ImportError)
-
 from nav_msgs.msg import OccupancyGrid
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.serialization import serialize_message
-from sensor_msgs.msg import PointField
+from ros.messages import cloud, grid, marker
 from visualization_msgs.msg import MarkerArray
 
 LATCHED = QoSProfile(depth=50, durability=DurabilityPolicy.TRANSIENT_LOCAL)
@@ -28,30 +25,18 @@ KEPT = {'good/1', 'points#0', 'points#1', 'tracks#7', 'floor#0'}
 
 
 @pytest.fixture(scope='module')
-def filled(start_node, messages):
+def filled(start_node):
     """A node with sources of all types, each of which has spoken."""
-    world = start_node(
-        {
-            'sources': list(QOS),
-            **{
-                name: {'type': kind, 'topic': name}
-                for name, kind in zip(
-                    QOS,
-                    ('MarkerArray', 'PointCloud2', 'PointCloud2', 'OccupancyGrid'),
-                    strict=True,
-                )
-            },
-        }
-    )
-    world.publish('markers', MarkerArray(markers=[messages.marker(1, (10, 0, 0), ns='good')]))
-    world.publish('points', messages.cloud({'x': [20, 30], 'y': [0, 0], 'z': [0, 0]}))
-    world.publish('tracks', messages.cloud({'x': [40], 'y': [0], 'z': [0], 'id': [7]}))
-    grid = OccupancyGrid()
-    grid.info.width = grid.info.height = 1
-    grid.info.resolution, grid.info.origin.position.x = 1.0, 50.0
-    grid.data = [100]
-    world.publish('floor', grid, qos=LATCHED)
-    world.until(lambda: world.everything() == KEPT)
+    kinds = 'MarkerArray', 'PointCloud2', 'PointCloud2', 'OccupancyGrid'
+    sources = {n: {'type': kind, 'topic': n} for n, kind in zip(QOS, kinds, strict=True)}
+    world = start_node({'sources': list(QOS), **sources})
+    world.publish('markers', MarkerArray(markers=[marker(1, (10, 0, 0), ns='good')]))
+    world.publish('points', cloud({'x': [20, 30], 'y': [0, 0], 'z': [0, 0]}))
+    world.publish('tracks', cloud({'x': [40], 'y': [0], 'z': [0], 'id': [7]}))
+    floor = grid([[100]])
+    floor.info.origin.position.x = 50.0
+    world.publish('floor', floor, qos=LATCHED)
+    world.holds(*KEPT)
     return world
 
 
@@ -96,6 +81,7 @@ BAD_MARKERS = {
     'huge quaternion': {'turn': (0, 0, 0, 1e200)},
     'too large': {'at': (1.7e308, 0, 0), 'size': (1e308, 1, 1)},
     'not round': {'type': 2, 'size': (1, 2, 1)},
+    'nor is this': {'type': 3, 'size': (1, 2, 1)},
     'unknown frame': {'frame': 'mars'},
     'unknown action': {'action': 1_000_000},
     'negative lifetime': {'lifetime': -1.0},
@@ -105,18 +91,18 @@ BAD_MARKERS = {
 }
 
 
-def test_bad_markers(filled, messages):
+def test_bad_markers(filled):
     before, _ = refused(filled, 'markers')
     for change in BAD_MARKERS.values():
         given = {'ns': 'bad', **change}
         at, size = given.pop('at', (70, 0, 0)), given.pop('size', (1, 1, 1))
-        bad = messages.marker(5, at, size, **given)
-        same = messages.marker(1, (10, 0, 0), ns='good')
-        new = messages.marker(2, (0, 15, 0), ns='good')
+        bad = marker(5, at, size, **given)
+        same = marker(1, (10, 0, 0), ns='good')
+        new = marker(2, (0, 15, 0), ns='good')
         filled.publish('markers', MarkerArray(markers=[same, bad, new]))
-        filled.until(lambda: filled.everything() == KEPT | {'good/2'})
-        filled.publish('markers', MarkerArray(markers=[messages.marker(2, ns='good', action=2)]))
-        filled.until(lambda: filled.everything() == KEPT)
+        filled.holds(*KEPT, 'good/2')
+        filled.publish('markers', MarkerArray(markers=[marker(2, ns='good', action=2)]))
+        filled.holds(*KEPT)
     check(filled, 'markers', before, len(BAD_MARKERS), 'finite')
 
 
@@ -133,17 +119,15 @@ LEGAL_MARKERS = {
 
 
 @pytest.mark.parametrize('what', LEGAL_MARKERS)
-def test_strange_but_legal_markers(filled, messages, what):
+def test_strange_but_legal_markers(filled, what):
     change, name = LEGAL_MARKERS[what]
     given = dict(change)
     number, size = given.pop('number', 5), given.pop('size', (1, 1, 1))
-    filled.publish(
-        'markers', MarkerArray(markers=[messages.marker(number, (0, 70, 0), size, **given)])
-    )
+    filled.publish('markers', MarkerArray(markers=[marker(number, (0, 70, 0), size, **given)]))
     filled.until(lambda: filled.names('raycast', (0, 70, 9), (0, 70, -9)) == [name])
-    gone = messages.marker(number, ns=given.get('ns', 'a'), action=2)
+    gone = marker(number, ns=given.get('ns', 'a'), action=2)
     filled.publish('markers', MarkerArray(markers=[gone]))
-    filled.until(lambda: filled.everything() == KEPT)
+    filled.holds(*KEPT)
 
 
 def altered(**values):
@@ -156,72 +140,43 @@ def altered(**values):
     return change
 
 
-def field(name, offset, datatype=PointField.FLOAT64, count=1):
-    return PointField(name=name, offset=offset, datatype=datatype, count=count)
-
-
-XYZ = [field('x', 0), field('y', 8), field('z', 16)]
+# How a cloud differs from a good one; `test_point_cloud2.py` has all that can contradict itself.
 BAD_CLOUDS = {
     'width lies': altered(width=3),
-    'height lies': altered(height=2),
-    'row_step lies': altered(row_step=10**9),
     'a size beyond memory': altered(width=2**32 - 1, height=2**32 - 1),
-    'points without data': altered(data=[]),
-    'one byte short': lambda m: m.data.pop(),
     'no fields': altered(fields=[]),
-    'no z': altered(fields=XYZ[:2]),
-    'x twice': altered(fields=[*XYZ, XYZ[0]]),
-    'unknown datatype': altered(fields=[*XYZ[:2], field('z', 16, 200)]),
-    'field outside its point': altered(fields=[*XYZ[:2], field('z', 17)]),
-    'an array as x': altered(fields=[field('x', 0, count=2), *XYZ[1:]]),
-    'half a size': altered(fields=[*XYZ, field('sx', 0)]),
-    'half an orientation': altered(fields=[*XYZ, field('qw', 0)]),
     'unknown frame': lambda m: altered(frame_id='mars')(m.header),
 }
 
 
-def test_bad_clouds(filled, messages):
+def test_bad_clouds(filled):
     before, _ = refused(filled, 'points')
     for change in BAD_CLOUDS.values():
-        cloud = messages.cloud({'x': [80, 90], 'y': [0, 0], 'z': [0, 0]})
-        change(cloud)
-        filled.publish('points', cloud)
+        points = cloud({'x': [80, 90], 'y': [0, 0], 'z': [0, 0]})
+        change(points)
+        filled.publish('points', points)
         unharmed(filled)
     check(filled, 'points', before, len(BAD_CLOUDS), 'mars')
 
 
-def test_bad_rows_of_a_cloud_do_not_spoil_the_others(filled, messages):
+def test_bad_rows_of_a_cloud_do_not_spoil_the_others(filled):
     before, _ = refused(filled, 'tracks')
     sizes = {'sx': [1, -1, 1, INF], 'sy': [1, 1, 1, 1], 'sz': [1, 1, 1, 1]}
     columns = {'x': [41, 42, INF, 44], 'y': [50] * 4, 'z': [0] * 4, **sizes, 'id': [8, 9, 10, 11]}
-    filled.publish('tracks', messages.cloud(columns))
-    filled.until(lambda: filled.everything() == KEPT | {'tracks#8'})
-    filled.publish('tracks', messages.cloud({**columns, 'sx': [NAN] * 4}))  # deletes them
-    filled.until(lambda: filled.everything() == KEPT)
+    filled.publish('tracks', cloud(columns))
+    filled.holds(*KEPT, 'tracks#8')
+    filled.publish('tracks', cloud({**columns, 'sx': [NAN] * 4}))  # deletes them
+    filled.holds(*KEPT)
     columns = {'x': [0, 0], 'y': [0, 0], 'z': [0, 0], 'id': [0.5, 2.0**60]}
-    filled.publish('tracks', messages.cloud(columns))
+    filled.publish('tracks', cloud(columns))
     check(filled, 'tracks', before, 5, 'not a whole number')
 
 
-def origin(name, **values):
-    def change(grid):
-        altered(**values)(getattr(grid.info.origin, name))
-
-    return change
-
-
+# As `test_occupancy_grid.py` has them, but for the first and the last.
 BAD_GRIDS = {
-    'a cell too few': altered(data=[100]),
-    'a cell too many': altered(data=[100] * 3),
-    'no data': altered(data=[]),
     'a size beyond memory': lambda m: altered(width=2**32 - 1, height=2**32 - 1)(m.info),
-    'no resolution': lambda m: altered(resolution=0.0)(m.info),
-    'NaN resolution': lambda m: altered(resolution=NAN)(m.info),
-    'negative resolution': lambda m: altered(resolution=-1.0)(m.info),
-    'NaN origin': origin('position', y=NAN),
-    'infinite origin': origin('position', x=INF),
-    'NaN turn': origin('orientation', z=NAN),
-    'tilted': origin('orientation', x=1.0, w=1.0),
+    'no data': altered(data=[]),
+    'NaN origin': lambda m: altered(y=NAN)(m.info.origin.position),
     'unknown frame': lambda m: altered(frame_id='mars')(m.header),
 }
 
@@ -229,23 +184,21 @@ BAD_GRIDS = {
 def test_bad_grids(filled):
     before, _ = refused(filled, 'floor')
     for change in BAD_GRIDS.values():
-        grid = OccupancyGrid()
-        grid.info.width, grid.info.height, grid.info.resolution = 2, 1, 1.0
-        grid.data = [100, 100]
-        change(grid)
-        filled.publish('floor', grid, qos=LATCHED)
+        floor = grid([[100, 100]])
+        change(floor)
+        filled.publish('floor', floor, qos=LATCHED)
         unharmed(filled)
     check(filled, 'floor', before, len(BAD_GRIDS), 'mars')
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize('source', ['markers', 'points', 'floor'])
-def test_bytes_that_are_no_message(filled, messages, source):
+def test_bytes_that_are_no_message(filled, source):
     """Random bytes and torn messages on the wire, as a broken or hostile publisher sends them."""
     rng = np.random.default_rng(1)
     whole = {
-        'markers': MarkerArray(markers=[messages.marker(1, (10, 0, 0), ns='good')] * 3),
-        'points': messages.cloud({'x': [20, 30], 'y': [0, 0], 'z': [0, 0]}),
+        'markers': MarkerArray(markers=[marker(1, (10, 0, 0), ns='good')] * 3),
+        'points': cloud({'x': [20, 30], 'y': [0, 0], 'z': [0, 0]}),
         'floor': OccupancyGrid(data=[100] * 50),
     }[source]
     right = bytes(serialize_message(whole))

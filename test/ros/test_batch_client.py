@@ -2,39 +2,50 @@
 # SPDX-License-Identifier: Apache-2.0
 """Batches and names through the Python client, on a node in its own process."""
 
+import itertools
 import math
 import threading
 
 import numpy as np
 import pytest
-
-pytest.importorskip('rclpy', reason='rclpy is not installed', exc_type=ImportError)
-
-import rclpy
+from diagnostic_msgs.msg import DiagnosticStatus
 from rclpy.executors import SingleThreadedExecutor
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from ros.messages import marker
 from ros.patience import PATIENCE
 
-from bvh_ros.client import FREE, UNANSWERED, BvhClient, BvhError, BvhTimeoutError
+from bvh_ros.client import FREE, UNANSWERED, BvhError, BvhTimeoutError
 
+RELIABILITY = ReliabilityPolicy.BEST_EFFORT, ReliabilityPolicy.RELIABLE
+DURABILITY = DurabilityPolicy.VOLATILE, DurabilityPolicy.TRANSIENT_LOCAL
 FIVE = np.arange(5.0)
 ORIGINS = np.column_stack((FIVE * 10, FIVE * 0, FIVE * 0))
 UPWARDS = np.tile((0.0, 0.0, 2.0), (5, 1))
 
 
 @pytest.fixture
-def client(world):
-    node = rclpy.create_node('asker')
-    yield BvhClient(node, world.name, timeout=PATIENCE)
-    node.destroy_node()
+def client(world, client_of):
+    return client_of(world)
 
 
 @pytest.fixture
-def filled(world, messages):
+def filled(world):
     """Boxes above the rays 0, 1 and 3."""
     assert world.trigger('clear').success
-    world.markers(*(messages.marker(i, (10 * i, 0, 5), ns='crate') for i in (0, 1, 3)))
-    world.until(lambda: len(world.everything()) == 3)
+    world.show(*(marker(i, (10 * i, 0, 5), ns='crate') for i in (0, 1, 3)))
     return world
+
+
+@pytest.fixture
+def spun(client):
+    """The same client, whose node a thread spins."""
+    executor = SingleThreadedExecutor()
+    executor.add_node(client.node)
+    thread = threading.Thread(target=executor.spin)
+    thread.start()
+    yield client
+    executor.shutdown()
+    thread.join()
 
 
 def test_hits_and_their_names(filled, client):
@@ -45,13 +56,8 @@ def test_hits_and_their_names(filled, client):
     assert hits.points[hit].tolist() == [[0, 0, 4.5], [10, 0, 4.5], [30, 0, 4.5]]
     assert hits.normals[hit].tolist() == [[0, 0, -1]] * 3
     names = client.names(hits.obstacles)
-    assert [names.get(handle) for handle in hits.obstacles.tolist()] == [
-        'crate/0',
-        'crate/1',
-        None,
-        'crate/3',
-        None,
-    ]
+    named = [names.get(handle) for handle in hits.obstacles.tolist()]
+    assert named == ['crate/0', 'crate/1', None, 'crate/3', None]
 
 
 def test_float32_limits_and_masks(filled, client):
@@ -88,73 +94,48 @@ def test_arrays_that_do_not_fit(client):
         client.raycast_many(ORIGINS, UPWARDS, np.ones(4))
 
 
-def test_no_node(client):
-    nobody = BvhClient(client.node, '/nobody/bvh', timeout=0.1)
+def test_no_node(client_of):
     with pytest.raises(BvhTimeoutError):
-        nobody.raycast_many(ORIGINS, UPWARDS)
+        client_of('/nobody/bvh', timeout=0.1).raycast_many(ORIGINS, UPWARDS)
 
 
-def test_ten_batches_on_the_way(filled, client):
-    executor = SingleThreadedExecutor()
-    executor.add_node(client.node)
-    thread = threading.Thread(target=executor.spin)
-    thread.start()
-    try:
-        client.wait_until_batches_are_ready(PATIENCE)
-        asked = [client.raycast_many_async(ORIGINS[:i], UPWARDS[:i]) for i in range(10)]
-        filled.until(lambda: all(answer.done() for answer in asked))
-        assert [len(answer.result().t) for answer in asked] == [0, 1, 2, 3, 4, 5, 5, 5, 5, 5]
-        assert client.raycast_many(ORIGINS, UPWARDS).t[0] == 2.25  # as another thread spins
-    finally:
-        executor.shutdown()
-        thread.join()
+def test_ten_batches_on_the_way(filled, spun):
+    spun.wait_until_batches_are_ready(PATIENCE)
+    asked = [spun.raycast_many_async(ORIGINS[:i], UPWARDS[:i]) for i in range(10)]
+    filled.until(lambda: all(answer.done() for answer in asked))
+    assert [len(answer.result().t) for answer in asked] == [0, 1, 2, 3, 4, 5, 5, 5, 5, 5]
+    assert spun.raycast_many(ORIGINS, UPWARDS).t[0] == 2.25  # as another thread spins
 
 
-def test_names_follow_who_comes_and_goes(filled, client, messages):
+def test_names_follow_who_comes_and_goes(filled, client):
     before = client.raycast_many(ORIGINS, UPWARDS).obstacles
     assert set(client.names(before).values()) == {'crate/0', 'crate/1', 'crate/3'}
-    filled.markers(
-        messages.marker(2, (20, 0, 5), ns='späť'), messages.marker(0, action=2, ns='crate')
-    )
+    filled.markers(marker(2, (20, 0, 5), ns='späť'), marker(0, action=2, ns='crate'))
     filled.until(lambda: 'späť/2' in filled.everything())
     after = client.raycast_many(ORIGINS, UPWARDS).obstacles
     assert set(client.names(after).values()) == {'crate/1', 'späť/2', 'crate/3'}
     assert client.names(before[:1], timeout=0.1) == {}
 
 
-def test_names_are_a_latched_diagnostic_status(filled):
-    from diagnostic_msgs.msg import DiagnosticStatus
-    from rclpy.qos import DurabilityPolicy, QoSProfile
-
-    received = []
-    latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-    subscription = filled.node.create_subscription(
-        DiagnosticStatus, f'{filled.name}/names', received.append, latched
+def test_late_subscribers_of_every_kind_hear_the_names(filled):
+    """Nothing changes while they come, one beside the others."""
+    crates, kinds = ['crate/0', 'crate/1', 'crate/3'], itertools.product(RELIABILITY, DURABILITY)
+    first, *others = (
+        QoSProfile(depth=9, reliability=reliability, durability=durability)
+        for reliability, durability in kinds
     )
-    crates = ['crate/0', 'crate/1', 'crate/3']
-    # What was latched comes first, and what is true now after that.
-    filled.until(lambda: received and [pair.value for pair in received[-1].values] == crates)
-    filled.node.destroy_subscription(subscription)
-    handles = [int(pair.key) for pair in received[-1].values]
-    assert handles == sorted(handles)
-    assert received[-1].message == '3 obstacles'
+    for some in ([first], others, [first, *others]):
+        heard = [filled.heard(DiagnosticStatus, 'names', qos) for qos in some]
 
+        def told():
+            # What was latched may come first, and what is true now after that.
+            return all(
+                one and [pair.value for pair in one[-1].values] == crates
+                for one in heard  # noqa: B023
+            )
 
-def test_requests_before_a_large_message(filled, client):
-    """The message pushes some of them out of the shared memory; they are asked again."""
-    executor = SingleThreadedExecutor()
-    executor.add_node(client.node)
-    thread = threading.Thread(target=executor.spin)
-    thread.start()
-    try:
-        client.wait_until_ready(PATIENCE)
-        client.wait_until_batches_are_ready(PATIENCE)
-        asked = [client.raycast_async((0, 0, 0), (0, 0, 9)) for _ in range(200)]
-        origins = np.zeros((40_000, 3), np.float32)  # 0.96 MB
-        hits = client.raycast_many(origins, origins + np.float32((0, 0, 1)))
-        assert (hits.t == 4.5).all()
-        filled.until(lambda: all(answer.done() for answer in asked))
-        assert {answer.result().name for answer in asked} == {'crate/0'}
-    finally:
-        executor.shutdown()
-        thread.join()
+        filled.until(told)
+        for one in heard:
+            handles = [int(pair.key) for pair in one[-1].values]
+            assert handles == sorted(handles)
+            assert one[-1].message == '3 obstacles'

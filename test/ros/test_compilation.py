@@ -69,7 +69,7 @@ def test_progress_is_what_the_processor_has_done():
     """On a busy machine a job that waits is not nearly done; one that takes longer than expected
     says so, and that others will.
     """
-    wait = Job('wait', 'wait', 50.0, partial(time.sleep, 1.0))
+    wait = Job('wait', 'wait', 25.0, partial(time.sleep, 0.5))
     waiting = Compilation([wait], 1)
     seen = [percent for percent, _ in finish(waiting)]
     assert max(seen[:-1], default=0) < 10

@@ -14,20 +14,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-
-pytest.importorskip('rclpy', reason='rclpy is not installed', exc_type=ImportError)
-
-import rclpy
 from diagnostic_msgs.msg import DiagnosticStatus
 from nav_msgs.msg import OccupancyGrid
-from rclpy.qos import DurabilityPolicy, QoSProfile
+from ros.messages import LATCHED, cloud, grid, marker
 from ros.patience import PATIENCE
 
-from bvh_ros.client import BvhClient, BvhTimeoutError
+from bvh_ros.client import BvhTimeoutError
 
 pytestmark = pytest.mark.slow
 
-LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 UP, DOWN = (0, 0, 9), (0, 0, -9)
 MANY = 1_000_000 if os.environ.get('BVH_ROS_LONG_TESTS') else 100_000  # boxes in one message
 
@@ -60,24 +55,9 @@ def test_a_publisher_is_killed_and_another_comes(start_node):
     assert world.status('source markers').values['refused'] == '0'
 
 
-@pytest.fixture
-def client_of():
-    """A client on a node of its own, which nobody else spins."""
-    nodes = []
-
-    def make(world):
-        nodes.append(rclpy.create_node('waiting_client'))
-        return BvhClient(nodes[-1], world.name, timeout=PATIENCE)
-
-    yield make
-    for node in nodes:
-        node.destroy_node()
-
-
-def test_the_node_is_killed_while_clients_wait_and_comes_back(start_node, messages, client_of):
+def test_the_node_is_killed_while_clients_wait_and_comes_back(start_node, client_of):
     world = start_node()
-    world.markers(messages.marker(1))
-    world.until(lambda: world.everything() == {'a/1'})
+    world.show(marker(1))
     client = client_of(world)
     assert client.raycast(UP, DOWN).name == 'a/1'
 
@@ -94,7 +74,7 @@ def test_the_node_is_killed_while_clients_wait_and_comes_back(start_node, messag
     back = start_node(namespace=world.namespace)
     deadline = time.monotonic() + PATIENCE
     while True:  # the same client; a timeout as long as the dead node is still announced
-        back.markers(messages.marker(2))  # again: the first may be heard by the dead one only
+        back.markers(marker(2))  # again: the first may be heard by the dead one only
         try:
             hit = client.raycast(UP, DOWN, timeout=5.0)
         except BvhTimeoutError:
@@ -111,41 +91,7 @@ def timeout_of(client):
     return caught.value
 
 
-def test_two_namespaces(start_node, messages):
-    one, other = start_node(), start_node()
-    one.markers(messages.marker(1))
-    other.markers(messages.marker(1, (50, 0, 0)), messages.marker(2, (60, 0, 0)))
-    one.until(lambda: one.everything() == {'a/1'})
-    other.until(lambda: other.everything() == {'a/1', 'a/2'})
-    assert one.names('raycast', UP, DOWN) == ['a/1']
-    assert other.names('raycast', UP, DOWN) == []
-    assert one.trigger('clear').success
-    assert one.everything() == set()
-    assert other.everything() == {'a/1', 'a/2'}
-    assert one.end() == 0
-    assert other.everything() == {'a/1', 'a/2'}
-
-
-def grid_of(*cells):
-    grid = OccupancyGrid()
-    grid.info.width, grid.info.height, grid.info.resolution = len(cells), 1, 1.0
-    grid.data = list(cells)
-    return grid
-
-
 FLOOR = {'sources': ['floor'], 'floor': {'type': 'OccupancyGrid', 'topic': 'map'}}
-
-
-def test_the_node_joins_late(start_node, ros):
-    namespace = '/late_joiner'
-    publisher = ros[0].create_publisher(OccupancyGrid, f'{namespace}/map', LATCHED)
-    publisher.publish(grid_of(100))
-    time.sleep(0.5)
-    world = start_node(
-        {**FLOOR, 'floor': {**FLOOR['floor'], 'required': True}}, namespace=namespace
-    )
-    world.until(lambda: world.everything() == {'floor#0'})
-    ros[0].destroy_publisher(publisher)
 
 
 def test_a_publisher_whose_qos_does_not_fit_is_said_in_diagnostics(start_node):
@@ -156,17 +102,17 @@ def test_a_publisher_whose_qos_does_not_fit_is_said_in_diagnostics(start_node):
     said = world.status('source floor').message
     assert 'durability transient_local that is asked for' in said
     assert said in world.said()
-    volatile.publish(grid_of(100, 100))
-    world.publish('map', grid_of(0, 100), qos=LATCHED)  # another one is
-    world.until(lambda: world.everything() == {'floor#0'})
+    volatile.publish(grid([[100, 100]]))
+    world.publish('map', grid([[0, 100]]), qos=LATCHED)  # another one is
+    world.holds('floor#0')
     # The remedy that it names is one.
     parameter, value = re.search("'(qos_overrides[^']*)' to '([a-z_]*)'", said).groups()
     namespace = f'{world.namespace}_mended'
     mended = start_node(
         {**FLOOR, parameter.replace(world.namespace, namespace): value}, namespace=namespace
     )
-    mended.publish('map', grid_of(0, 100), qos=1)
-    mended.until(lambda: mended.everything() == {'floor#0'})
+    mended.publish('map', grid([[0, 100]]), qos=1)
+    mended.holds('floor#0')
     world.node.destroy_publisher(volatile)
 
 
@@ -175,18 +121,18 @@ def place(row):
     return row % 100, row // 100 % 100, row // 10_000
 
 
-def test_a_very_large_cloud_and_then_more_than_there_is_room_for(start_node, messages):
+def test_a_very_large_cloud_and_then_more_than_there_is_room_for(start_node):
     world = start_node(
         {'sources': ['c'], 'c': {'type': 'PointCloud2', 'topic': 'c'}, 'max_obstacles': MANY}
     )
     rows, more = np.arange(MANY + 50), 50
     columns = dict(zip('xyz', place(rows), strict=True))
     first, last, beyond = (list(map(float, place(row))) for row in (0, MANY - 1, MANY))
-    world.publish('c', messages.cloud({axis: column[:MANY] for axis, column in columns.items()}))
+    world.publish('c', cloud({axis: column[:MANY] for axis, column in columns.items()}))
     world.until(lambda: world.names('overlap', last, last) == [f'c#{MANY - 1}'])
     assert world.names('raycast_all', first, (99, 0, 0)) == [f'c#{row}' for row in range(100)]
 
-    world.publish('c', messages.cloud(columns))
+    world.publish('c', cloud(columns))
     world.until(lambda: world.status('source c').values['refused'] == str(more))
     assert 'max_obstacles' in world.status('source c').values['last reason']
     assert world.names('overlap', last, last) == [f'c#{MANY - 1}']

@@ -13,8 +13,6 @@ from xml.etree import ElementTree
 import pytest
 from ros.patience import PATIENCE
 
-pytest.importorskip('rclpy', reason='rclpy is not installed', exc_type=ImportError)
-
 from bvh_ros.ros import large_messages
 
 SENT = 10

@@ -3,16 +3,16 @@
 """Whatever a parameter or an argument is, the node runs or says in one line what is wrong."""
 
 import os
+import re
 import subprocess
 import sys
 from importlib.util import find_spec
 
 import pytest
-
-pytest.importorskip('rclpy', reason='rclpy is not installed', exc_type=ImportError)
-
 from rclpy.node import Node
 from rclpy.parameter import Parameter
+from ros import forking
+from ros.messages import marker
 from ros.patience import PATIENCE
 from tree.compiler.alone import run_alone
 
@@ -172,44 +172,119 @@ def test_every_parameter_with_every_odd_value(complaint):
             assert len(said) <= 500, (name, value, said)
 
 
+OVERRIDES = 'qos_overrides./configured/obstacles.subscription'
+GRID = {'sources': ['g'], 'g.type': 'OccupancyGrid', 'g.topic': 'g'}
+LIDAR = {'use_tf': False, 'transforms': ['lidar']}
+SCAN = {'virtual_scan.pose_topic': '/p'}
+TALL = {'footprint_height': 1.0}
+ANOTHER = 'the name of another parameter'
+WRONG = [
+    ({'margin': 'wide'}, "'margin' must be a number"),
+    ({'margin': -1.0}, "'margin' must be at least 0"),
+    ({'margin': NAN}, "'margin' must be"),
+    ({'planar': 1}, "'planar' must be true or false"),
+    ({'frame_id': ''}, "'frame_id' is empty"),
+    ({'frame_id': 5}, "'frame_id' must be a string"),
+    ({'max_obstacles': 0}, "'max_obstacles' must be at least 1"),
+    ({'max_obstacles': 10.5}, "'max_obstacles' must be a whole number"),
+    ({'history': -1.0}, 'history'),
+    ({'max_prediction': -1.0}, 'max_prediction'),
+    ({'sources': 'markers'}, 'must be a list'),
+    ({'sources': ['a', 'a']}, 'there twice'),
+    ({'sources': ['margin']}, 'name of another parameter'),
+    ({'sources': ['views']}, 'name of another parameter'),
+    ({'sources': ['a b']}, 'is not a name'),
+    ({'sources': ['a']}, "'a.type' must be one of MarkerArray, PointCloud2, OccupancyGrid"),
+    ({'sources': ['a'], 'a.type': 'LaserScan'}, "'a.type' must be one of"),
+    ({'sources': ['a'], 'a.type': 'PointCloud2'}, "needs a parameter 'a.topic'"),
+    ({'markers.max_age': -1.0}, "'markers.max_age' must be at least 0"),
+    ({'markers.predict': 'given'}, 'markers.predict'),
+    ({'markers.requierd': True}, "did you mean 'markers.required'"),
+    ({f'{OVERRIDES}.relability': 'reliable'}, f"did you mean '{OVERRIDES}.reliability'"),
+    ({'qos_overrides./obstacle.subscription.depth': 5}, 'is for nothing here'),
+    ({f'{OVERRIDES}.reliability': 'relaible'}, 'must be one of reliable, best_effort'),
+    ({f'{OVERRIDES}.depth': 0}, 'must be a whole number from 1'),
+    ({f'{OVERRIDES}.depth': 'deep'}, 'must be a whole number from 1'),
+    ({**GRID, 'g.unknown': 'maybe'}, "'g.unknown' must be one of free, occupied"),
+    ({**GRID, 'g.z_min': 9.0}, "'g.z_min' is above 'g.z_max'"),
+    *(
+        ({'mesh_paths': [path]}, 'no absolute path of a fol')
+        for path in ('/none', 'meshes', __file__)
+    ),
+    # views
+    ({'views': ['1st']}, "'1st' is not a name"),
+    ({'views': ['a/b']}, "'a/b' is not a name"),
+    ({'views': ['markers']}, f"'markers' is {ANOTHER}"),
+    ({'views': ['raycast']}, f"'raycast' is {ANOTHER}"),
+    ({'views': ['margin']}, f"'margin' is {ANOTHER}"),
+    ({'views': ['a', 'a']}, "'a' is there twice"),
+    ({'views': [f'v{i}' for i in range(32)]}, 'names 32 views; there can be 31'),
+    ({'views': ['a'], 'a.includes': ['x']}, "no parameter 'a.includes'; did you mean"),
+    ({'views': ['a'], 'a.include': 'x'}, "'a.include' must be a list of strings"),
+    ({'views': ['a' * 300]}, "(300 characters)' is not a name"),
+    # transforms
+    ({**LIDAR, 'lidar.xyz': [1.0, 2.0]}, "'lidar.xyz' must be 3 numbers of at most 1e+09"),
+    ({**LIDAR, 'lidar.xyz': ['a', 'b', 'c']}, "'lidar.xyz' must be finite numbers"),
+    ({**LIDAR, 'lidar.xyz': [1.0, 2.0, NAN]}, "'lidar.xyz' must be finite numbers"),
+    ({**LIDAR, 'lidar.xyzw': [0.0, 0.0, 0.0, 0.0]}, "'lidar.xyzw' must be 4 numbers"),
+    ({**LIDAR, 'lidar.parent': 'lidar'}, "'lidar' stands on itself"),
+    ({**LIDAR, 'lidar.parrent': 'map'}, "did you mean 'lidar.parent'"),
+    ({**LIDAR, 'sources': ['lidar']}, "'lidar' is the name of another"),
+    # footprints
+    *(({'footprint': bad}, 'footprint') for bad in ([1.0, 2.0], [-1.0], [INF], [0.0, 1.0, 1.0])),
+    ({'footprint': '[[0, 0], [1, 1], [1, 0], [0, 1]]', **TALL}, 'is not simple'),
+    ({'footprint': '[[0, 0], [1, 0]]', **TALL}, '3 to 200 corners'),
+    ({'footprint': 'circle', **TALL}, 'must be a polygon'),
+    ({'footprint': '{(0, 0), (1, 0), (0, 1)}', **TALL}, 'must be a polygon'),
+    ({'footprint': "['00', '10', '01']", **TALL}, 'must be a polygon'),
+    ({'footprint': '[[True, 0], [0, 1], [1, 1]]', **TALL}, 'must be a polygon'),
+    ({'footprint': f'[[0, 0], [1, 0], [0, {10**400}]]', **TALL}, 'must be a polygon'),
+    ({'footprint': '[]', **TALL}, '3 to 200 corners'),
+    ({'path_between': True, **TALL}, "path_between' needs a 'footprint'"),
+    ({'footprint': '[[0, 0], [1, 0], [1e300, 1]]', **TALL}, 'not within'),
+    ({'footprint': '[[0, 0], [1, 0], [0, 1]]', 'footprint_height': 0.0}, 'footprint_height'),
+    # the virtual scan
+    ({**SCAN, 'virtual_scan.angle_min': 1.0, 'virtual_scan.angle_max': 0.0}, 'virtual_scan'),
+    ({**SCAN, 'virtual_scan.range_min': 2.0, 'virtual_scan.range_max': 1.0}, 'virtual_scan'),
+    ({**SCAN, 'virtual_scan.elevation_min': 0.1}, 'virtual_scan'),
+    ({**SCAN, 'virtual_scan.channels': 2}, 'virtual_scan'),
+    ({**SCAN, 'virtual_scan.frame_id': ''}, 'virtual_scan'),
+    ({**SCAN, 'virtual_scan.angle_increment': 1e-6}, 'virtual_scan'),
+    # beside others
+    ({**EVERYTHING, 'footprint': [1e200]}, "'footprint'"),
+    ({**EVERYTHING, 'm.max_speed': 0.0}, "'m.max_speed'"),
+    ({**EVERYTHING, 'transforms': ['t', 'a']}, "'transforms'"),
+    ({**EVERYTHING, 'virtual_scan.view': 'nowhere'}, "'virtual_scan.view'"),
+]
+
+
+@pytest.mark.parametrize(('parameters', 'reason'), WRONG, ids=lambda part: str(part)[:60])
+def test_wrong_parameters(configure, parameters, reason):
+    with pytest.raises(ConfigurationError, match=re.escape(reason)):
+        configure(parameters)
+
+
+def test_these_are_right(configure):
+    configure(EVERYTHING)
+    assert configure({}).settings.footprint == ()
+
+
 @pytest.mark.parametrize(
-    ('parameters', 'named'),
+    ('package', 'kind'),
     [
-        ({'footprint': [1e200]}, 'footprint'),
-        ({'m.max_speed': 0.0}, 'm.max_speed'),
-        ({'transforms': ['t', 'a']}, 'transforms'),
-        ({'virtual_scan.view': 'nowhere'}, 'virtual_scan.view'),
+        ('vision_msgs', 'Detection3DArray'),
+        ('moveit_msgs', 'CollisionObject'),
+        ('octomap_msgs', 'Octomap'),
     ],
 )
-def test_these_are_refused(complaint, parameters, named):
-    assert complaint(EVERYTHING) == ''
-    assert f"'{named}'" in complaint({**EVERYTHING, **parameters})
-
-
-@pytest.mark.parametrize('package', ['vision_msgs', 'moveit_msgs', 'octomap_msgs'])
-def test_a_type_is_not_offered_without_its_message_package(complaint, monkeypatch, package):
-    types = {
-        'vision_msgs': 'Detection3DArray',
-        'moveit_msgs': 'CollisionObject',
-        'octomap_msgs': 'Octomap',
-    }
+def test_a_type_is_not_offered_without_its_message_package(complaint, monkeypatch, package, kind):
     for module in [name for name in sys.modules if name.startswith('bvh_ros.ros.sources.')]:
         monkeypatch.delitem(sys.modules, module)
     monkeypatch.setitem(sys.modules, f'{package}.msg', None)  # as if it were not there
     monkeypatch.setitem(sys.modules, package, None)
-    said = complaint({'sources': ['s'], 's.type': types[package], 's.topic': '/s'})
+    said = complaint({'sources': ['s'], 's.type': kind, 's.topic': '/s'})
     assert said.startswith(f"source 's' needs {package}")
     assert complaint({}) == ''
-
-
-def started(executable, *arguments):
-    return subprocess.run(
-        [sys.executable, '-m', f'bvh_ros.ros.{executable}', *arguments],
-        capture_output=True,
-        text=True,
-        timeout=PATIENCE,
-        check=False,
-    )
 
 
 @pytest.mark.parametrize(
@@ -221,42 +296,42 @@ def started(executable, *arguments):
         ('lifecycle_node', '-p margin:=1.0', 'unrecognized arguments: -p margin:=1.0'),
         ('node', '--ros-args -p margin:=1e308', "'margin' must be at least 0 and at most"),
         ('node', '--ros-args --params-file /nowhere', '/nowhere'),
+        ('node', '--ros-args -p markers.topic:=a//b', "source 'markers'"),
     ],
 )
-def test_a_wrong_command_line_ends_with_one_plain_line(executable, arguments, reason):
-    ended = started(executable, *arguments.split(' '))
-    assert ended.returncode == 2
-    assert 'Traceback' not in ended.stderr
-    *_, line = ended.stderr.splitlines()
+def test_a_wrong_command_line_ends_with_one_plain_line(tmp_path, executable, arguments, reason):
+    log = tmp_path / 'log'
+    log.touch()
+    node = forking.Fork(arguments.split(' '), log, f'bvh_{executable}')
+    assert node.wait(PATIENCE) == 2
+    said = log.read_text()
+    assert 'Traceback' not in said
+    *_, line = said.splitlines()
     assert line.startswith(f'bvh_{executable}: ')
     assert reason in line
 
 
 def test_help_is_given():
-    ended = started('node', '--help')
+    command = [sys.executable, '-m', 'bvh_ros.ros.node', '--help']
+    ended = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE)
     assert (ended.returncode, ended.stderr) == (0, '')
     assert 'come after --ros-args' in ended.stdout
 
 
-@pytest.mark.parametrize(
-    'arguments',
-    [('bvh_ros.demo', '--domain', '233'), ('bvh_ros.report.cli', 'speed', '--out', os.devnull)],
-)
-def test_wrong_arguments_of_the_others(arguments):
-    module, *rest = arguments
-    main = f'import sys; from {module} import main; sys.exit(main(sys.argv[1:]))'
-    ended = run_alone(main, *rest)
+def test_wrong_arguments_of_the_report():
+    main = 'import sys; from bvh_ros.report.cli import main; sys.exit(main(sys.argv[1:]))'
+    ended = run_alone(main, 'speed', '--out', os.devnull)
     assert ended.returncode == 2, ended.stderr
     assert 'Traceback' not in ended.stderr
-    assert rest[-2] in ended.stderr.splitlines()[-1]
+    assert '--out' in ended.stderr.splitlines()[-1]
 
 
 @pytest.mark.slow
-def test_a_huge_frame_is_shortened_where_it_is_told(start_node, messages):
+def test_a_huge_frame_is_shortened_where_it_is_told(start_node):
     world = start_node()
     huge = 'f' * 1_000_000
-    world.markers(messages.marker(1, frame=huge))
-    world.markers(messages.marker(2, ns='n' * 1_000_000, size=(-1, 1, 1)))
+    world.markers(marker(1, frame=huge))
+    world.markers(marker(2, ns='n' * 1_000_000, size=(-1, 1, 1)))
     status = world.status('source markers')
     world.until(lambda: world.status('source markers').values['refused'] == '2')
     (pose,) = world.plan('raycast', (0, 0, 0), (1, 0, 0), frame=huge).poses

@@ -2,7 +2,6 @@
 # SPDX-License-Identifier: Apache-2.0
 """How the node starts and ends."""
 
-import re
 import shlex
 import signal
 import subprocess
@@ -12,25 +11,14 @@ from functools import partial
 from pathlib import Path
 
 import pytest
-from ros.patience import COMPILING, PATIENCE
-
-pytest.importorskip('rclpy', reason='rclpy is not installed', exc_type=ImportError)
-
-from bvh_ros.ros.access import ConfigurationError
-
-OVERRIDES = 'qos_overrides./configured/obstacles.subscription'
-GRID = {'sources': ['g'], 'g.type': 'OccupancyGrid', 'g.topic': 'g'}
+from ros.messages import marker
+from ros.patience import PATIENCE
 
 
 @pytest.fixture(scope='module')
 def start_node(start_node):
     """Processes that did not begin as forks."""
     return partial(start_node, fresh=True)
-
-
-def end_of(world):
-    """Return the exit code and what was said."""
-    return world.process.wait(PATIENCE), world.said()
 
 
 def test_a_node_starts_where_standard_error_is_closed():
@@ -40,10 +28,9 @@ def test_a_node_starts_where_standard_error_is_closed():
 
 
 @pytest.mark.parametrize('how', [signal.SIGINT, signal.SIGTERM])
-def test_clean_exit(start_node, messages, how):
+def test_clean_exit(start_node, how):
     world = start_node()
-    world.markers(messages.marker(1))
-    world.until(lambda: world.everything() == {'a/1'})
+    world.show(marker(1))
     assert world.end(how) == 0
     assert 'Traceback' not in world.said()
     assert 'rror' not in world.said()
@@ -68,16 +55,6 @@ def test_clean_exit_while_starting(start_node, how, after):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize('how', [signal.SIGINT, signal.SIGTERM])
-def test_clean_exit_while_compiling(start_node, monkeypatch, tmp_path, seconds_to_end, how):
-    monkeypatch.setenv('NUMBA_CACHE_DIR', str(tmp_path))
-    world = start_node(wait=False)
-    world.until(lambda: any(tmp_path.rglob('*.nbc')), COMPILING)  # of some minutes
-    assert seconds_to_end(world.process, how) < 1.0
-    assert 'Traceback' not in world.said()
-
-
-@pytest.mark.slow
 def test_a_second_start_compiles_nothing(start_node, monkeypatch):
     start_node().end()  # compiles, if nobody has
     monkeypatch.setenv('NUMBA_DEBUG_CACHE', '1')
@@ -95,80 +72,8 @@ def test_start_up_line_says_what_is_on(start_node):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ('parameters', 'reason'),
-    [
-        ({'margin': -1.0}, "'margin' must be at least 0"),
-        ({'margin': float('nan')}, "'margin' must be"),
-        ({'sources': ['g'], 'g': {'type': 'OccupancyGrid'}}, "needs a parameter 'g.topic'"),
-        ({'markers': {'topic': 'a//b'}}, "source 'markers'"),
-    ],
-)
-def test_wrong_parameters_end_the_node(start_node, parameters, reason):
-    code, said = end_of(start_node(parameters, wait=False))
-    assert code == 2
-    assert reason in said
-    assert 'Traceback' not in said
-
-
-@pytest.mark.parametrize(
-    ('parameters', 'reason'),
-    [
-        ({'margin': 'wide'}, "'margin' must be a number"),
-        ({'planar': 1}, "'planar' must be true or false"),
-        ({'frame_id': ''}, "'frame_id' is empty"),
-        ({'frame_id': 5}, "'frame_id' must be a string"),
-        ({'max_obstacles': 0}, "'max_obstacles' must be at least 1"),
-        ({'max_obstacles': 10.5}, "'max_obstacles' must be a whole number"),
-        ({'sources': 'markers'}, 'must be a list'),
-        ({'sources': ['a', 'a']}, 'there twice'),
-        ({'sources': ['margin']}, 'name of another parameter'),
-        ({'sources': ['views']}, 'name of another parameter'),
-        ({'sources': ['a b']}, 'is not a name'),
-        ({'sources': ['a']}, "'a.type' must be one of MarkerArray, PointCloud2, OccupancyGrid"),
-        ({'sources': ['a'], 'a.type': 'LaserScan'}, "'a.type' must be one of"),
-        ({'sources': ['a'], 'a.type': 'PointCloud2'}, "needs a parameter 'a.topic'"),
-        ({'markers.max_age': -1.0}, "'markers.max_age' must be at least 0"),
-        ({'markers.requierd': True}, "did you mean 'markers.required'"),
-        ({f'{OVERRIDES}.relability': 'reliable'}, f"did you mean '{OVERRIDES}.reliability'"),
-        ({'qos_overrides./obstacle.subscription.depth': 5}, 'is for nothing here'),
-        ({f'{OVERRIDES}.reliability': 'relaible'}, 'must be one of reliable, best_effort'),
-        ({f'{OVERRIDES}.depth': 0}, 'must be a whole number from 1'),
-        ({f'{OVERRIDES}.depth': 'deep'}, 'must be a whole number from 1'),
-        ({**GRID, 'g.unknown': 'maybe'}, "'g.unknown' must be one of free, occupied"),
-        ({**GRID, 'g.z_min': 9.0}, "'g.z_min' is above 'g.z_max'"),
-    ],
-)
-def test_wrong_parameters(configure, parameters, reason):
-    with pytest.raises(ConfigurationError, match=re.escape(reason)):
-        configure(parameters)
-
-
-@pytest.mark.slow
 @pytest.mark.parametrize('sources', [[], ['']])
 def test_no_source_at_all(start_node, sources):
     world = start_node({'sources': sources})
     assert world.names('raycast', (0, 0, 0), (1, 0, 0)) == []
     assert world.end() == 0
-
-
-def test_diagnostics(world, messages):
-    from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
-
-    seen = {}
-
-    def keep(message):
-        seen.update({status.name: status for status in message.status})
-
-    subscription = world.node.create_subscription(DiagnosticArray, '/diagnostics', keep, 10)
-    name = world.name.lstrip('/')
-    world.markers(messages.marker(1), messages.marker(2, size=(1, -1, 1)))
-    world.until(lambda: world.everything() == {'a/1'})
-    world.until(lambda: f'{name}: world' in seen and '1 obst' in seen[f'{name}: world'].message)
-    source = seen[f'{name}: source markers']
-    values = {pair.key: pair.value for pair in source.values}
-    assert values['refused'] == '1'
-    assert 'negative' in values['last reason']
-    assert values['reliability'] == 'reliable'
-    assert seen[f'{name}: queries'].level in (DiagnosticStatus.OK, DiagnosticStatus.WARN)
-    world.node.destroy_subscription(subscription)

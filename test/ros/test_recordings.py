@@ -1,25 +1,18 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""Recorded traffic, planning scenes, a building and a map, through the node."""
+"""Recorded traffic and planning scenes; `test_replay.py` has a building and a map."""
 
 import csv
-import itertools
-import os
 from collections import defaultdict
 
 import numpy as np
 import pytest
-
-pytest.importorskip('rclpy', reason='rclpy is not installed', exc_type=ImportError)
-
-from nav_msgs.msg import OccupancyGrid
-from rclpy.qos import DurabilityPolicy, QoSProfile
+from ros.messages import coordinates, marker
+from scipy.spatial.transform import Rotation
 
 pytestmark = pytest.mark.slow
 
 DELETE, DELETE_ALL, CYLINDER = 2, 3, 3
-FIELDS = ('x', 'y', 'z', 'sx', 'sy', 'sz')
-SPARSE = 1 if os.environ.get('BVH_ROS_LONG_TESTS') else 5  # of ten thousand free voxels
 CLEAR = 1e-6  # m: closer than this to touching, two libraries may differ in rounding
 
 
@@ -34,14 +27,7 @@ def numbers(row, *names):
 
 def axes_of(q):
     """Rows: the directions of a box's own axes."""
-    x, y, z, w = np.asarray(q) / np.linalg.norm(q)
-    return np.array(
-        (
-            (1 - 2 * (y * y + z * z), 2 * (x * y + z * w), 2 * (x * z - y * w)),
-            (2 * (x * y - z * w), 1 - 2 * (x * x + z * z), 2 * (y * z + x * w)),
-            (2 * (x * z + y * w), 2 * (y * z - x * w), 1 - 2 * (x * x + y * y)),
-        )
-    )
+    return Rotation.from_quat(q).as_matrix().T
 
 
 class Vehicle:
@@ -69,7 +55,7 @@ class Vehicle:
         return low if low <= high else None
 
 
-def test_us101_replay(world, messages, shared_data):
+def test_us101_replay(world, shared_data):
     """At every frame the tree holds exactly that frame's vehicles, and rays see what they see."""
     frames = defaultdict(list)
     for row in rows_of(shared_data / 'commonroad_ngsim' / 'USA_US101-4_1_T-1.csv'):
@@ -77,12 +63,12 @@ def test_us101_replay(world, messages, shared_data):
     known = set()
     for frame, vehicles in frames.items():
         present = {vehicle.number for vehicle in vehicles}
-        gone = [messages.marker(n, ns='car', action=DELETE) for n in known - present]
+        gone = [marker(n, ns='car', action=DELETE) for n in known - present]
         stamp = 1000 + frame
         world.markers(
             *gone,
             *(
-                messages.marker(v.number, v.at, v.size, turn=v.turn, ns='car', stamp=stamp)
+                marker(v.number, v.at, v.size, turn=v.turn, ns='car', stamp=stamp)
                 for v in vehicles
             ),
         )
@@ -104,8 +90,7 @@ def check_ray(world, vehicles, start, goal):
     poses = world.plan('raycast_all', start, goal).poses
     assert [pose.header.frame_id for pose in poses] == [name for _, name in expected]
     for pose, (t, _) in zip(poses, expected, strict=True):
-        at = pose.pose.position
-        assert np.allclose((at.x, at.y, at.z), start + t * (goal - start), atol=1e-9)
+        assert np.allclose(coordinates(pose), start + t * (goal - start), atol=1e-9)
     first = world.names('raycast', start, goal)
     assert first == [name for _, name in expected[:1]]
 
@@ -117,15 +102,15 @@ def scenes(shared_data):
     return found
 
 
-def test_manipulation_scenes(world, messages, shared_data):
+def test_manipulation_scenes(world, shared_data):
     """Every object of every scene as a question: the answer is python-fcl's on all pairs."""
     fcl = pytest.importorskip('fcl', reason='python-fcl is not installed')
     questions = 0
     for stamp, objects in enumerate(scenes(shared_data).values(), 2000):
         world.markers(
-            messages.marker(0, ns='', action=DELETE_ALL),
+            marker(0, ns='', action=DELETE_ALL),
             *(
-                messages.marker(
+                marker(
                     i,
                     numbers(row, 'cx', 'cy', 'cz'),
                     numbers(row, 'sx', 'sy', 'sz'),
@@ -174,73 +159,3 @@ def check_against_fcl(fcl, box, objects, found):
         )
         if bool(smaller) == bool(larger):
             assert (f'scene/{i}' in found) == bool(smaller), (row, smaller)
-
-
-def test_freiburg_building(start_node, messages, shared_data):
-    """72,153 boxes in one message; cubes known to be free, shrunk by 1 mm, overlap nothing."""
-    folder = shared_data / 'octomap_fr079'
-    occupied = np.loadtxt(folder / 'occupied_voxels.csv', delimiter=',', skiprows=1)
-    free = np.loadtxt(folder / 'free_voxels_sample.csv', delimiter=',', skiprows=1)
-    world = start_node(
-        {'sources': ['building'], 'building': {'type': 'PointCloud2', 'topic': 'b'}}
-    )
-    columns = dict(zip(FIELDS, occupied[:, (0, 1, 2, 3, 3, 3)].T, strict=True))
-    world.publish('b', messages.cloud(columns))
-    world.until(lambda: world.hits('raycast', *through(occupied[0])))
-    assert f'{len(occupied)} obstacles' in world.trigger('validate').message
-    for x, y, z, size in free[::SPARSE]:
-        half = size / 2 - 0.001
-        low, high = (x - half, y - half, z - half), (x + half, y + half, z + half)
-        assert world.names('overlap', low, high) == []
-    for x, y, z, size in occupied[::500]:
-        half = size / 2 - 0.001
-        low, high = (x - half, y - half, z - half), (x + half, y + half, z + half)
-        assert len(world.names('overlap', low, high)) == 1
-
-
-def through(voxel):
-    x, y, z, size = voxel
-    return (x, y, z), (x, y, z + size / 4)
-
-
-def pixels_of(path):
-    """Read a binary PGM."""
-    magic, size, largest, data = path.read_bytes().split(b'\n', 3)
-    while size.startswith(b'#'):
-        size, largest, data = largest, *data.split(b'\n', 1)
-    assert (magic, largest) == (b'P5', b'255')
-    width, height = map(int, size.split())
-    return np.frombuffer(data, dtype=np.uint8, count=width * height).reshape(height, width)
-
-
-def test_willow_garage_map(start_node, shared_data):
-    folder = shared_data / 'willow_garage_map'
-    pixels = pixels_of(folder / 'map.pgm')[::-1]  # an image begins at the top, a map at the bottom
-    grid = OccupancyGrid()
-    grid.info.height, grid.info.width = pixels.shape
-    grid.info.resolution = 0.1
-    darkness = (255.0 - pixels) / 255.0
-    values = np.where(darkness > 0.65, 100, np.where(darkness < 0.196, 0, -1)).astype(np.int8)
-    grid.data = values.ravel().tolist()
-    world = start_node(
-        {
-            'sources': ['floor'],
-            'floor': {'type': 'OccupancyGrid', 'topic': 'map', 'required': True},
-        }
-    )
-    latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-    world.publish('map', grid, qos=latched)
-    cells = np.loadtxt(folder / 'occupied_cells.csv', delimiter=',', skiprows=1)
-    assert len(cells) == (values == 100).sum()
-    world.until(lambda: world.hits('raycast', *above(cells[0])))
-    for cell in cells[::4]:
-        (name,) = world.names('raycast', *above(cell))
-        assert name.startswith('floor#')
-    for row, column in itertools.islice(np.argwhere(values < 100), 0, None, 150):
-        assert world.names('raycast', *above(((column + 0.5) * 0.1, (row + 0.5) * 0.1))) == []
-    boxes = int(world.trigger('validate').message.split()[1])
-    assert boxes < len(cells) / 2
-
-
-def above(cell):
-    return (cell[0], cell[1], 3.0), (cell[0], cell[1], 1.0)

@@ -7,20 +7,18 @@ import time
 
 import numpy as np
 import pytest
-
-pytest.importorskip('rclpy', reason='rclpy is not installed', exc_type=ImportError)
-
-from ros.patience import COMPILING, PATIENCE
+from ros.messages import SECOND, cloud, marker, stamp
+from ros.patience import COMPILING, PATIENCE, once_compiled
 from sensor_msgs.msg import PointCloud2
 from turns import unit_quaternions
 from visualization_msgs.msg import MarkerArray
 
-from bvh_ros.client import FREE, UNANSWERED, BvhClient, BvhError, BvhTimeoutError
+from bvh_ros.client import FREE, UNANSWERED, BvhError, BvhTimeoutError
 
 pytestmark = pytest.mark.slow
 
 TOPIC, BOXES, CALLS, ROWS = '/regions/boxes', 120, 60, 400
-INF, SECOND = float('inf'), 1_000_000_000
+INF = float('inf')
 QUARTERS = [
     [-INF, -INF, -INF, 0.0, 0.0, INF],
     [0.0, -INF, -INF, INF, 0.0, INF],
@@ -30,7 +28,7 @@ QUARTERS = [
 
 
 @pytest.fixture(scope='module')
-def nodes(start_node, messages):
+def nodes(start_node):
     """One that knows all, and four that share it."""
     given = {'sources': ['boxes'], 'boxes.type': 'MarkerArray', 'boxes.topic': TOPIC}
     given |= {'footprint': [0.8, 0.5, 0.4], 'nearest_limit': 4}
@@ -45,7 +43,7 @@ def nodes(start_node, messages):
     publisher.publish(
         MarkerArray(
             # Of numbers as long as each other: the order of names is that of handles.
-            markers=[messages.marker(100 + i, places[i], sizes[i], stamp=1) for i in range(BOXES)]
+            markers=[marker(100 + i, places[i], sizes[i], stamp=1) for i in range(BOXES)]
         )
     )
     whole.until(lambda: len(whole.everything()) == BOXES)
@@ -59,10 +57,10 @@ def nodes(start_node, messages):
     whole.node.destroy_publisher(publisher)
 
 
-def test_four_nodes_answer_as_one(nodes):
+def test_four_nodes_answer_as_one(nodes, client_of):
     whole, parts = nodes
-    one = BvhClient(whole.node, whole.name, timeout=PATIENCE)
-    all_four = BvhClient(whole.node, [part.name for part in parts], timeout=PATIENCE)
+    one = client_of(whole)
+    all_four = client_of([part.name for part in parts])
     all_four.wait_until_ready()
     rng, hits = np.random.default_rng(9), 0
     for _ in range(CALLS):
@@ -96,10 +94,10 @@ def same_rows(told, wanted, here, there):
     return np.count_nonzero(told.obstacles != FREE)
 
 
-def test_batches_of_four_nodes_are_those_of_one(nodes):
+def test_batches_of_four_nodes_are_those_of_one(nodes, client_of):
     whole, parts = nodes
-    one = BvhClient(whole.node, whole.name, timeout=PATIENCE)
-    four = BvhClient(whole.node, [part.name for part in parts], timeout=PATIENCE)
+    one = client_of(whole)
+    four = client_of([part.name for part in parts])
     four.wait_until_batches_are_ready()
     rng = np.random.default_rng(4)
     at, ways = rng.uniform((-12, -12, -4), (12, 12, 4), (2, ROWS, 3))
@@ -119,10 +117,10 @@ def test_batches_of_four_nodes_are_those_of_one(nodes):
         lambda client: client.check_path(at[:150], turns[:150]),
     ]
     for ask in asks:
-        wanted, told = answered(ask, one), answered(ask, four)  # one compiles for all
+        wanted, told = (once_compiled(lambda: ask(client)) for client in (one, four))  # noqa: B023
         here, there = four.names(told.obstacles), one.names(wanted.obstacles)
         assert same_rows(told, wanted, here, there) > 50
-    answered(lambda client: client.nearest((0, 0, 0), 4.0), one)
+    once_compiled(lambda: one.nearest((0, 0, 0), 4.0))
     for point in at[:60].tolist():
         assert four.nearest(point, 4.0) == one.nearest(point, 4.0)
     ring = [hit.name for hit in four.nearest((0, 0, 20), 4.0)]
@@ -133,19 +131,8 @@ def test_batches_of_four_nodes_are_those_of_one(nodes):
         four.raycast_many(at, at[1:])
 
 
-def answered(ask, client):
-    """The answer, once what it takes is compiled."""
-    deadline = time.monotonic() + COMPILING
-    while True:
-        try:
-            return ask(client)
-        except BvhError:
-            assert time.monotonic() < deadline
-            time.sleep(0.2)
-
-
 @pytest.fixture(scope='module')
-def moving(start_node, messages):
+def moving(start_node):
     """One that knows all, two that share it, and when they were told: boxes that cross the border
     between the two.
     """
@@ -159,12 +146,12 @@ def moving(start_node, messages):
     rng = np.random.default_rng(5)
     columns = [rng.uniform(*span, (count, 3)) for span in ((-8, 8), (0.3, 1.5), (-4, 4))]
     names = ('x', 'y', 'z', 'sx', 'sy', 'sz', 'vx', 'vy', 'vz')
-    cloud = messages.cloud(
+    message = cloud(
         {'id': np.arange(100, 100 + count), **dict(zip(names, np.hstack(columns).T, strict=True))}
     )
     told = time.time_ns()
-    cloud.header.stamp.sec, cloud.header.stamp.nanosec = divmod(told, SECOND)
-    publisher.publish(cloud)
+    message.header.stamp = stamp(told)
+    publisher.publish(message)
     for world in worlds:
         world.until(lambda world=world: world.status('source tracks').values['messages'] == '1')
         world.until(lambda world=world: world.hits('overlap', (-9, -9, -9), (9, 9, 9)))
@@ -172,10 +159,10 @@ def moving(start_node, messages):
     worlds[0].node.destroy_publisher(publisher)
 
 
-def test_two_nodes_answer_as_one_about_other_times(moving):
+def test_two_nodes_answer_as_one_about_other_times(moving, client_of):
     (whole, *parts), told = moving
-    one = BvhClient(whole.node, whole.name, timeout=PATIENCE)
-    both = BvhClient(whole.node, [part.name for part in parts], timeout=PATIENCE)
+    one = client_of(whole)
+    both = client_of([part.name for part in parts])
     both.wait_until_batches_are_ready()
     rng, hits = np.random.default_rng(6), 0
     then = {'at': told + SECOND}
@@ -193,8 +180,8 @@ def test_two_nodes_answer_as_one_about_other_times(moving):
                     lambda client, times=times: client.nearest(a, 4.0, **times),  # noqa: B023
                 ]
             for ask in asks:
-                wanted = answered(ask, one)
-                assert answered(ask, both) == wanted
+                wanted = once_compiled(lambda: ask(one))  # noqa: B023
+                assert once_compiled(lambda: ask(both)) == wanted  # noqa: B023
                 hits += wanted not in (None, [])
     assert hits > CALLS
     at = told + rng.integers(0, SECOND, ROWS)
@@ -209,7 +196,7 @@ def test_two_nodes_answer_as_one_about_other_times(moving):
         lambda client: client.check_path(places[:150], turns[:150], at=at[:150]),
     ]
     for ask in asks:
-        wanted, found = answered(ask, one), answered(ask, both)
+        wanted, found = (once_compiled(lambda: ask(client)) for client in (one, both))  # noqa: B023
         here, there = both.names(found.obstacles), one.names(wanted.obstacles)
         assert same_rows(found, wanted, here, there) > 25
     with pytest.raises(ValueError, match='until needs at'):
@@ -220,10 +207,10 @@ def test_two_nodes_answer_as_one_about_other_times(moving):
         both.raycast((0, 0, 0), (1, 0, 0), until=told)
 
 
-def test_what_nobody_knows_is_not_free(nodes, monkeypatch):
+def test_what_nobody_knows_is_not_free(nodes, client_of, monkeypatch):
     whole, parts = nodes
     names = [part.name for part in parts]
-    client = BvhClient(whole.node, names, timeout=PATIENCE)
+    client = client_of(names)
     for a, b in (((5, 5, 0), (5, 5, 29)), ((31, 5, 0), (32, 5, 0)), ((-5, 5, 26), (5, 5, 26))):
         with pytest.raises(BvhError, match='leaves the regions'):
             client.raycast(a, b)
@@ -244,11 +231,11 @@ def test_what_nobody_knows_is_not_free(nodes, monkeypatch):
     with pytest.raises(BvhError, match='no row'):
         client.raycast_many([[31, 5, 0]], [[1, 0, 0]])
     with pytest.raises(ValueError, match='a name'):
-        BvhClient(whole.node, [])
-    missing = BvhClient(whole.node, [*names, '/nowhere/bvh'], timeout=1.0)
+        client_of([])
+    missing = client_of([*names, '/nowhere/bvh'], timeout=1.0)
     with pytest.raises(BvhTimeoutError):
         missing.raycast((0, 0, 0), (1, 1, 0))
-    hasty = BvhClient(whole.node, names, timeout=PATIENCE)
+    hasty = client_of(names)
     hasty.regions()
     # A row in each region, and one in two of them: those of the node that is killed are unknown.
     rays = (
@@ -286,14 +273,14 @@ def test_what_nobody_knows_is_not_free(nodes, monkeypatch):
         hasty.raycast((1, 1, 0), (2, 2, 0), timeout=2.0)
     with pytest.raises(BvhTimeoutError):
         hasty.overlap((-1, -1, -1), (1, 1, 1), timeout=2.0)
-    assert hasty.raycast((-9, -9, 0), (-1, -1, 0)) == BvhClient(
-        whole.node, whole.name, timeout=PATIENCE
-    ).raycast((-9, -9, 0), (-1, -1, 0))
+    assert hasty.raycast((-9, -9, 0), (-1, -1, 0)) == client_of(whole).raycast(
+        (-9, -9, 0), (-1, -1, 0)
+    )
 
 
-def test_a_slow_node_is_an_error_and_holds_up_nobody_else(nodes):
+def test_a_slow_node_is_an_error_and_holds_up_nobody_else(nodes, client_of):
     whole, parts = nodes
-    client = BvhClient(whole.node, [part.name for part in parts[:3]], timeout=PATIENCE)
+    client = client_of([part.name for part in parts[:3]])
     client.raycast((-9, -9, 0), (-1, -1, 0))
     parts[1].process.send_signal(signal.SIGSTOP)
     try:
@@ -305,9 +292,9 @@ def test_a_slow_node_is_an_error_and_holds_up_nobody_else(nodes):
         client.raycast((-9, -9, 0), (-1, -1, 0))
     finally:
         parts[1].process.send_signal(signal.SIGCONT)
-    assert client.raycast((-9, -9, 0), (9, 0, 0)) == BvhClient(
-        whole.node, whole.name, timeout=PATIENCE
-    ).raycast((-9, -9, 0), (9, 0, 0))
+    assert client.raycast((-9, -9, 0), (9, 0, 0)) == client_of(whole).raycast(
+        (-9, -9, 0), (9, 0, 0)
+    )
 
 
 def refusal(ask):
@@ -326,10 +313,10 @@ def refusal(ask):
             raise AssertionError('this is answered')
 
 
-def test_a_node_that_is_started_again_with_another_region(start_node, messages):
+def test_a_node_that_is_started_again_with_another_region(start_node, client_of):
     given = {'region': [-INF, -INF, -INF, 0.0, INF, INF]}
     left, right = start_node(given), start_node({'region': [0.0, -INF, -INF, INF, INF, INF]})
-    client = BvhClient(left.node, [left.name, right.name], timeout=PATIENCE)
+    client = client_of([left.name, right.name])
     a, b, rays = (-9, 0, 0), (9, 0, 0), ([[-9, 0, 0]], [[1, 0, 0]], 18.0)
     assert client.raycast(a, b) is None
     assert client.raycast_many(*rays).obstacles.tolist() == [FREE]
@@ -340,5 +327,5 @@ def test_a_node_that_is_started_again_with_another_region(start_node, messages):
     again.end(signal.SIGKILL)
     start_node({'region': [-1.0, -INF, -INF, INF, INF, INF]}, namespace=right.namespace)
     # That more is known is seen once the node is discovered; until then it is an error.
-    assert answered(lambda client: client.raycast(a, b, timeout=30.0), client) is None
+    assert once_compiled(lambda: client.raycast(a, b, timeout=30.0)) is None
     assert client.raycast_many(*rays).obstacles.tolist() == [FREE]

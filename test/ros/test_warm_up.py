@@ -15,8 +15,6 @@ from pathlib import Path
 import pytest
 from ros.patience import COMPILING
 
-pytest.importorskip('rclpy', reason='rclpy is not installed', exc_type=ImportError)
-
 CLOUDS = {
     'sources': ['cloud', 'numbered', 'grid'],
     'cloud.type': 'PointCloud2',

@@ -12,19 +12,17 @@ from pathlib import Path
 
 import numpy as np
 import rclpy
-from conftest import World, marker
-from nav_msgs.msg import OccupancyGrid
+from conftest import World
 from numba.core.dispatcher import Dispatcher
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
-from rclpy.qos import DurabilityPolicy, QoSProfile
 from ros.clouds import cloud
+from ros.messages import LATCHED, grid, marker
 from sensor_msgs.msg import PointCloud2
 
 from bvh_ros.ros.access import BvhServer
 
-LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 SPHERE, CYLINDER, CUBE_LIST, TRIANGLE_LIST = 2, 3, 6, 11
 TURNS = ((0, 0, 0, 0), (0, 0, 0.6, 0.8), (0.1, 0.3, 0.3, 0.9))
 TETRAHEDRON = [(0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1)]
@@ -101,11 +99,8 @@ def bring_boxes(world, sources):
         # The last of them; a large change is made aside, and seen when it is done.
         world.until(lambda: count_of('cloud#', world) == 100)
     if 'grid' in sources:
-        grid = OccupancyGrid()
-        grid.info.width = grid.info.height = 60
-        grid.info.resolution = 1.0
-        grid.data = [100, 0, 0, 100] * 900
-        world.publish('grid', grid, qos=LATCHED)
+        cells = np.reshape([100, 0, 0, 100] * 900, (60, 60))
+        world.publish('grid', grid(cells), qos=LATCHED)
         world.until(lambda: count_of('grid#', world))
 
 

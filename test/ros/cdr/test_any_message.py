@@ -6,9 +6,6 @@ import random
 
 import numpy as np
 import pytest
-
-pytest.importorskip('rclpy', reason='rclpy is not installed', exc_type=ImportError)
-
 from geometry_msgs.msg import Point, PoseStamped, Transform, Twist, Vector3
 from hypothesis import given, settings
 from hypothesis import strategies as st

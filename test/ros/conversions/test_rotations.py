@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from bvh_ros.ros.conversions import rotations
 
@@ -13,15 +14,7 @@ RNG = np.random.default_rng(1)
 
 
 def matrix(q):
-    """Rotation matrix of a unit quaternion, by the textbook formula."""
-    x, y, z, w = q
-    return np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-        ]
-    )
+    return Rotation.from_quat(q).as_matrix()
 
 
 @pytest.mark.parametrize(

@@ -5,8 +5,10 @@
 from typing import Any
 
 import numpy as np
+from ros.messages import marker
 from scipy.spatial.transform import Rotation
 from turns import unit_quaternions
+from visualization_msgs.msg import Marker
 
 from bvh_ros.scene import NodeScene, ShapeKind, Shapes
 
@@ -31,16 +33,16 @@ PARAMETERS = {  # a view that shows every other one, and a frame
 SHAPES = Shapes(KIND, CENTRE, TURN, SIZE)
 
 
-def fill(world: Any, messages: Any) -> None:
+def fill(world: Any) -> None:
     """Publish them, and wait until all are known."""
-    kinds = {ShapeKind.BOX: 1, ShapeKind.SPHERE: 2}
-    world.markers(
+    kinds = {ShapeKind.BOX: Marker.CUBE, ShapeKind.SPHERE: Marker.SPHERE}
+    rows = zip(CENTRE, SIZE, TURN, KIND, strict=True)
+    world.show(
         *(
-            messages.marker(i, CENTRE[i], SIZE[i], turn=TURN[i], type=kinds[ShapeKind(KIND[i])])
-            for i in range(COUNT)
+            marker(i, at, size, turn=turn, type=kinds[ShapeKind(kind)])
+            for i, (at, size, turn, kind) in enumerate(rows)
         )
     )
-    world.until(lambda: len(world.everything()) == COUNT)
 
 
 def same_scene() -> NodeScene:

@@ -9,19 +9,16 @@ from array import array
 
 import numpy as np
 import pytest
+from nav_msgs.srv import GetPlan
+from ros.boxes import Boxes
 from ros.clouds import cloud, table
+from ros.messages import marker
 from scipy.spatial.transform import Rotation
 
-pytest.importorskip('rclpy', reason='rclpy is not installed', exc_type=ImportError)
-
-from nav_msgs.srv import GetPlan
-
 FREE, UNANSWERED = 0xFFFFFFFF, 0xFFFFFFFE
-BOXES, RAYS = 300, 2000
+RAYS = 2000
 RNG = np.random.default_rng(11)
-CENTRE = RNG.uniform(-10, 10, (BOXES, 3))
-SIZE = RNG.uniform(0.2, 2.0, (BOXES, 3))
-LOW, HIGH = CENTRE - SIZE / 2, CENTRE + SIZE / 2
+BOXES = Boxes(300, seed=11)
 NO_QUESTION = 1_000_000  # the stamp of what only looks whether somebody answers
 XYZ, WAY, NORMAL = ('x', 'y', 'z'), ('dx', 'dy', 'dz'), ('nx', 'ny', 'nz')
 
@@ -56,7 +53,7 @@ class Asker:
 
     def take(self, reply):
         if reply.header.stamp.sec == NO_QUESTION:
-            self.heard = True
+            self.heard, self.first = True, reply
         else:
             self.replies[reply.header.stamp.sec] = reply
 
@@ -79,32 +76,12 @@ def stacked(rows, names):
     return np.column_stack([rows[name] for name in names]).astype(np.float64)
 
 
-def first_hits(origins, directions, t_max=math.inf):
-    """Brute force: the first box (-1: none) of each ray, and its t."""
-    with np.errstate(divide='ignore', invalid='ignore'):
-        one = (LOW - origins[:, None]) / directions[:, None]
-        other = (HIGH - origins[:, None]) / directions[:, None]
-    enter = np.maximum(np.minimum(one, other).max(axis=2), 0.0)
-    leave = np.maximum(one, other).min(axis=2)
-    t = np.where((enter <= leave) & (enter <= np.reshape(t_max, (-1, 1))), enter, np.inf)
-    box = np.where(np.isfinite(t.min(axis=1)), t.argmin(axis=1), -1)
-    return box, t.min(axis=1)
-
-
-def fill(world, messages):
-    world.markers(*(messages.marker(i, CENTRE[i], SIZE[i]) for i in range(BOXES)))
-    world.until(lambda: len(world.everything()) == BOXES)
-
-
 @pytest.fixture(scope='module')
-def filled(world, messages):
-    fill(world, messages)
-    return world
-
-
-@pytest.fixture(scope='module')
-def asker(filled):
-    return Asker(filled)
+def asker(world):
+    BOXES.fill(world)
+    asker = Asker(world)
+    assert asker.first.width == 0  # no rays, no hits
+    return asker
 
 
 def random_rays(count=RAYS):
@@ -116,7 +93,7 @@ def check(reply, origins, directions, t_max=math.inf, tolerance=1e-9):
     """Compare a reply with brute force; node handles are 1 + the number of the box."""
     rows = table(reply)
     assert rows.dtype.names == (*XYZ, 't', *NORMAL, 'obstacle')
-    box, t = first_hits(origins, directions, t_max)
+    box, t = BOXES.first_hits(origins, directions, t_max)
     assert np.array_equal(rows['obstacle'].astype(np.int64), np.where(box < 0, FREE, box + 1))
     hit = box >= 0
     assert 0.2 < hit.mean() < 0.9  # a comparison worth its name
@@ -131,7 +108,7 @@ def check(reply, origins, directions, t_max=math.inf, tolerance=1e-9):
     assert (np.abs(normals[entered]).sum(axis=1) == 1).all()
     assert ((normals * directions).sum(axis=1)[entered] < 0).all()
     assert not normals[hit & (t == 0)].any()
-    faces = np.where(normals[entered] < 0, LOW[box[entered]], HIGH[box[entered]])
+    faces = np.where(normals[entered] < 0, BOXES.lo[box[entered]], BOXES.hi[box[entered]])
     on_face = np.where(normals[entered] != 0, points[entered] - faces, 0.0)
     assert np.abs(on_face).max() <= (0.0 if tolerance < 1e-8 else 1e-6)
 
@@ -163,9 +140,9 @@ def test_every_layout(asker, big, padding, row_padding, height):
 
 
 def test_a_zero_direction_asks_for_a_point(asker):
-    origins = np.vstack((CENTRE[:50], np.full((1, 3), 99.0)))
+    origins = np.vstack((BOXES.centre[:50], np.full((1, 3), 99.0)))
     rows = table(asker.ask(cloud(rays(origins, np.zeros((51, 3))))))
-    inside = (origins[:, None] >= LOW) & (origins[:, None] <= HIGH)
+    inside = (origins[:, None] >= BOXES.lo) & (origins[:, None] <= BOXES.hi)
     holds = inside.all(axis=2)
     expected = np.where(holds.any(axis=1), holds.argmax(axis=1) + 1, FREE)
     assert np.array_equal(rows['obstacle'], expected)
@@ -177,7 +154,7 @@ def test_a_mask_of_no_bits_sees_nothing(asker):
     seen = np.arange(100) % 2 * 0xFFFFFFFF
     columns = rays(origins, directions, mask=seen)
     rows = table(asker.ask(cloud(columns, kinds={'mask': 'u4'})))
-    box, _ = first_hits(origins, directions)
+    box, _ = BOXES.first_hits(origins, directions)
     assert np.array_equal(rows['obstacle'], np.where((seen > 0) & (box >= 0), box + 1, FREE))
 
 
@@ -201,20 +178,6 @@ def three():
     return cloud(rays(np.zeros((3, 3)), np.ones((3, 3)), t_max=np.ones(3)))
 
 
-def lacking(name):
-    cloud = three()
-    cloud.fields = [field for field in cloud.fields if field.name != name]
-    return cloud
-
-
-def of_kind(name, datatype):
-    cloud = three()
-    for field in cloud.fields:
-        if field.name == name:
-            field.datatype = datatype
-    return cloud
-
-
 def lying(**given):
     cloud = three()
     for name, value in given.items():
@@ -222,26 +185,26 @@ def lying(**given):
     return cloud
 
 
+def lacking(name):
+    return lying(fields=[field for field in three().fields if field.name != name])
+
+
+# What cannot be read at all; `test_point_cloud2.py` has more of it, and the fields of questions.
 BAD_CLOUDS = {
     'no x': (lambda: lacking('x'), 3),
     'no dz': (lambda: lacking('dz'), 3),
     'no fields': (lambda: lying(fields=[]), 3),
-    'integer direction': (lambda: of_kind('dx', 5), 3),
-    'unknown datatype': (lambda: of_kind('dx', 99), 3),
-    'mask as a float': (
-        lambda: cloud(rays(np.zeros((3, 3)), np.ones((3, 3)), mask=np.ones(3))),
+    'integer direction': (
+        lambda: cloud(rays(np.zeros((3, 3)), np.ones((3, 3))), kinds={'dx': 'i4'}),
         3,
     ),
     'a byte too few': (lambda: lying(data=array('B', bytes(167))), 3),
-    'a byte too many': (lambda: lying(data=array('B', bytes(169))), 3),
     'one row more than the data': (lambda: lying(height=2), 6),
     'width of four billion': (lambda: lying(width=2**32 - 1), 1),
     'both of four billion': (lambda: lying(width=2**32 - 1, height=2**32 - 1), 1),
     'rays without data': (lambda: lying(data=array('B')), 1),
     'data without rays': (lambda: lying(width=0), 1),
-    'row_step too small': (lambda: lying(row_step=100), 3),
     'point_step of zero': (lambda: lying(point_step=0), 3),
-    'point_step too small': (lambda: lying(point_step=52), 3),
 }
 
 
@@ -293,16 +256,12 @@ def test_an_unknown_frame(asker):
     assert table(asker.ask(three(), frame='map'))['obstacle'].tolist() != [UNANSWERED] * 3
 
 
-def test_no_rays_no_hits(asker):
-    assert len(table(asker.ask(cloud(rays(np.empty((0, 3)), np.empty((0, 3))))))) == 0
-
-
 @pytest.mark.slow
-def test_an_incomplete_world(start_node, messages):
+def test_an_incomplete_world(start_node):
     parameters = {'markers.required': True, 'planar': True}
     asker = Asker(start_node(parameters))
     assert table(asker.ask(three()))['obstacle'].tolist() == [UNANSWERED] * 3
-    asker.world.markers(messages.marker(7, (2, 0, 5)))
+    asker.world.markers(marker(7, (2, 0, 5)))
     down = cloud(rays([[0, 0, 1.5]] * 2, [[1, 0, 9], [0, 1, 0]]))
     asker.world.until(lambda: asker.world.names('raycast', (0, 0, 0), (9, 0, 0)) == ['a/7'])
     rows = table(asker.ask(down))  # from above, z says nothing
@@ -310,15 +269,15 @@ def test_an_incomplete_world(start_node, messages):
     assert (rows['t'][0], rows['x'][0], rows['z'][0], rows['nx'][0]) == (1.5, 1.5, 1.5, -1)
 
 
-def test_rays_and_hits_in_a_frame_of_their_own(start_node, messages):
+def test_rays_and_hits_in_a_frame_of_their_own(start_node):
     place, turn = np.array((1.0, -2.0, 0.5)), Rotation.from_euler('xyz', (0.3, -0.8, 2.0))
     lidar = {'lidar.xyz': place.tolist(), 'lidar.xyzw': turn.as_quat().tolist()}
     world = start_node({'transforms': ['lidar'], **lidar})
-    fill(world, messages)
+    BOXES.fill(world)
     origins, directions = random_rays()
     local = turn.inv().apply(origins - place), turn.inv().apply(directions)
     reply = Asker(world).ask(cloud(rays(*local)), frame='lidar')
-    rows, (box, t) = table(reply), first_hits(origins, directions)
+    rows, (box, t) = table(reply), BOXES.first_hits(origins, directions)
     assert np.array_equal(rows['obstacle'].astype(np.int64), np.where(box < 0, FREE, box + 1))
     hit = box >= 0
     assert np.allclose(rows['t'][hit], t[hit], rtol=1e-9)
@@ -329,15 +288,11 @@ def test_rays_and_hits_in_a_frame_of_their_own(start_node, messages):
     assert ((normals * directions[hit & (t > 0)]).sum(axis=1) < 0).all()
 
 
-def test_what_was_refused_is_in_diagnostics(asker, diagnostics):
+def test_what_was_refused_is_in_diagnostics(asker):
     asker.ask(lacking('x'))
-    seen = diagnostics(asker.world)
-
-    def told():
-        return {pair.key: pair.value for pair in seen['rays'].values} if 'rays' in seen else {}
-
-    asker.world.until(lambda: 'but not x' in told().get('last reason', ''))
-    assert int(told()['rays refused']) >= 3
+    values = asker.world.status('rays').values
+    assert 'but not x' in values['last reason']
+    assert int(values['rays refused']) >= 3
 
 
 def test_without_batches(start_node):

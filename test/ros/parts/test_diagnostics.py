@@ -2,30 +2,35 @@
 # SPDX-License-Identifier: Apache-2.0
 """What /diagnostics tells, over ROS 2."""
 
+import logging
 import math
 
 import numpy as np
 import pytest
-
-pytest.importorskip('rclpy', reason='rclpy is not installed', exc_type=ImportError)
+from ros.messages import cloud, marker
 
 from bvh_ros import DynamicBVH
 from bvh_ros.ros.parts import diagnostics
-from bvh_ros.ros.texts import MOST, Timings
+from bvh_ros.ros.texts import (
+    LISTED,
+    LONGEST_LINE,
+    MOST,
+    Refused,
+    Seldom,
+    Timings,
+    as_line,
+    shortened,
+)
 from bvh_ros.ros.world.large_changes import LargeChanges
 from bvh_ros.ros.world.views import WHOLE
 from bvh_ros.ros.world.world import IncompleteWorldError, World
-from bvh_ros.scene import NodeScene, Shapes
+from bvh_ros.scene import NodeScene, Refusal, Shapes
 
 OK, WARN, ERROR = b'\x00', b'\x01', b'\x02'
 
 
-def values(status):
-    return {pair.key: pair.value for pair in status.values}
-
-
 @pytest.fixture(scope='module')
-def busy(start_node, messages):
+def busy(start_node):
     """Two sources, two views, a lifetime that ends, and a marker that is refused."""
     world = start_node(
         {
@@ -37,20 +42,22 @@ def busy(start_node, messages):
             'none.include': ['nothing is called so'],
         }
     )
-    world.markers(
-        messages.marker(1), messages.marker(2, lifetime=0.1), messages.marker(3, size=(1, -1, 1))
-    )
-    world.publish('boxes', messages.cloud({'x': range(10), 'y': [5] * 10, 'z': [0] * 10}))
+    world.markers(marker(1), marker(2, lifetime=0.1), marker(3, size=(1, -1, 1)))
+    world.publish('boxes', cloud({'x': range(10), 'y': [5] * 10, 'z': [0] * 10}))
     world.until(lambda: len(world.everything()) == 11)
     return world
 
 
-def test_the_world(busy, diagnostics):
-    seen = diagnostics(busy)
-    busy.until(lambda: values(seen['world'])['obstacles'] == '11')
-    told = values(seen['world'])
-    assert seen['world'].level == OK
-    assert (told['obstacles of markers'], told['obstacles of boxes']) == ('1', '10')
+def test_the_world(busy):
+    def counted():
+        told = busy.status('world').values
+        return (told['obstacles of markers'], told['obstacles of boxes']) == ('1', '10')
+
+    busy.until(counted)
+    status = busy.status('world')
+    told = status.values
+    assert (status.level, status.message) == (OK, '11 obstacles')
+    assert told['obstacles'] == '11'
     assert told['expired'] == '1'
     assert int(told['height']) >= 3
     assert float(told['cost']) > 1.0
@@ -62,9 +69,9 @@ def test_the_world(busy, diagnostics):
     assert 'margin' in told['off']
 
 
-def test_sources(busy, diagnostics):
-    seen = diagnostics(busy)
-    markers = values(seen['source markers'])
+def test_sources(busy):
+    seen = busy.statuses()
+    markers = seen['source markers'].values
     assert (markers['messages'], markers['refused']) == ('1', '1')
     assert 'negative' in markers['last reason']
     assert markers['refused rows'].startswith("'a/3': ")
@@ -74,58 +81,60 @@ def test_sources(busy, diagnostics):
     assert seen['source boxes'].level == OK
 
 
-def test_queries_and_views(busy, diagnostics):
-    seen = diagnostics(busy)
-    busy.until(lambda: values(seen['queries'])['obstacles seen'] == '11')
-    assert values(seen['queries of few'])['obstacles seen'] == '1'
-    assert seen['queries of few'].message == 'answering'
-    assert seen['queries of none'].level == OK
-    assert seen['queries of none'].message == 'no obstacle matches the view none'
-
+def test_queries_and_views(busy):
+    busy.until(lambda: busy.status('queries').values['obstacles seen'] == '11')
+    seen = busy.statuses()
+    few, none = seen['queries of few'], seen['queries of none']
+    assert (few.values['obstacles seen'], few.message) == ('1', 'answering')
+    assert (none.level, none.message) == (OK, 'no obstacle matches the view none')
     # Nobody asks the view `none`: no durations, rather than NaN.
-    assert values(seen['queries of none'])['answers a second'] == '0.0'
-    assert not {'p50 [ms]', 'p99 [ms]', 'longest [ms]'} & values(seen['queries of none']).keys()
+    assert none.values['answers a second'] == '0.0'
+    assert not {'p50 [ms]', 'p99 [ms]', 'longest [ms]'} & none.values.keys()
     assert 'nan' not in str(seen)
 
     def asked():
         busy.names('few/raycast', (-5, 0, 0), (5, 0, 0))
-        return float(values(seen['queries of few'])['answers a second']) > 0.0
+        few.values = busy.status('queries of few').values
+        return float(few.values['answers a second']) > 0.0
 
     busy.until(asked)
-    told = values(seen['queries of few'])
-    assert 0.0 < float(told['p50 [ms]']) <= float(told['p99 [ms]']) <= float(told['longest [ms]'])
+    p50, p99, longest = (float(few.values[f'{of} [ms]']) for of in ('p50', 'p99', 'longest'))
+    assert 0.0 < p50 <= p99 <= longest
 
 
-def test_a_refused_query_is_a_warning_for_a_second(busy, diagnostics):
-    seen = diagnostics(busy)
-    (pose,) = busy.plan('overlap', (0, 0, 0), (1, 1, 1), tolerance=-1.0).poses
-    assert pose.header.frame_id.startswith('error: tolerance')
-    busy.until(lambda: seen['queries'].level == WARN)
-    assert 'refused 1: tolerance' in seen['queries'].message
-    busy.until(lambda: seen['queries'].level == OK)
+def test_a_refused_query_is_a_warning_until_the_next_status(busy):
+    told = []
+
+    def warned():
+        (pose,) = busy.plan('overlap', (0, 0, 0), (1, 1, 1), tolerance=-1.0).poses
+        assert pose.header.frame_id.startswith('error: tolerance')
+        told.append(busy.status('queries'))
+        return told[-1].level == WARN
+
+    busy.until(warned)
+    assert 'refused 1: tolerance' in told[-1].message
+    busy.until(lambda: busy.status('queries').level == OK)
 
 
 @pytest.mark.slow
-def test_a_missing_required_source_is_an_error(start_node, diagnostics):
-    world = start_node({'markers.required': True})
-    seen = diagnostics(world)
+def test_a_missing_required_source_is_an_error(start_node):
+    seen = start_node({'markers.required': True}).statuses()
     for part in ('world', 'source markers'):
         assert seen[part].level == ERROR
         assert seen[part].message == "required source 'markers' has not spoken yet"
 
 
 @pytest.mark.slow
-def test_publishers_that_are_gone_are_a_warning(start_node, messages, diagnostics):
+def test_publishers_that_are_gone_are_a_warning(start_node):
     world = start_node()
-    world.markers(messages.marker(1))
-    world.until(lambda: world.everything() == {'a/1'})
-    seen = diagnostics(world)
-    assert seen['source markers'].level == OK
+    world.show(marker(1))
+    assert world.status('source markers').level == OK
     for publisher in world.publishers.values():
         world.node.destroy_publisher(publisher)
     world.publishers.clear()
-    world.until(lambda: seen['source markers'].level == WARN)
-    assert seen['source markers'].message == 'its publishers are gone; what they said is kept'
+    world.until(lambda: world.status('source markers').level == WARN)
+    said = world.status('source markers').message
+    assert said == 'its publishers are gone; what they said is kept'
     assert world.everything() == {'a/1'}
 
 
@@ -138,12 +147,12 @@ def test_validate_tells_figures(busy):
 # ---- the parts
 
 
-def test_what_is_refused_last_is_in_the_log(world, messages):
+def test_what_is_refused_last_is_in_the_log(world):
     """Within two seconds of another refusal, and nothing comes after it."""
-    world.markers(messages.marker(1, type=0))
+    world.markers(marker(1, type=0))
     world.until(lambda: 'marker type 0' in world.said())
-    world.markers(messages.marker(2, size=(1, -1, 1)))
-    world.markers(messages.marker(3, type=99))
+    world.markers(marker(2, size=(1, -1, 1)))
+    world.markers(marker(3, type=99))
     world.until(lambda: "'a/3': marker type 99" in world.said())
     # The one between is counted, or said where the machine had no time for two seconds.
     assert '(1 more since the last report)' in world.said() or "'a/2'" in world.said()
@@ -232,3 +241,41 @@ def test_the_cost_of_a_large_tree_is_not_counted_between_answers(monkeypatch):
     figures, _ = diagnostics.SceneStatistics(world).look()
     assert '~/validate' in figures['cost']
     assert figures['height'] == scene.figures()['height']
+
+
+# ---- texts in log lines and errors: how long they are, how often they come
+
+
+def test_texts_of_others_fit_into_a_line():
+    assert shortened('short') == 'short'
+    assert shortened('x' * 80) == 'x' * 80
+    assert shortened('x' * 81) == 'x' * 80 + '... (81 characters)'
+    assert shortened('a\nb\x1b') == 'a\\nb\\x1b'
+    assert as_line(ValueError('one\n two ' + 'x' * 10**6)).startswith('one two xxx')
+    assert len(as_line(ValueError('x' * 10**6))) < LONGEST_LINE + 30
+
+
+def test_a_line_every_two_seconds_and_none_is_left_out(monkeypatch):
+    now, said = [10.0], []
+    monkeypatch.setattr('time.monotonic', lambda: now[0])
+    seldom = Seldom(said.append)
+    seldom.log()
+    for total in (2, 4, 6):
+        seldom.add(f'{total} are lost', 2)
+    assert said == ['2 are lost (1 more since the last report)']
+    now[0] += 2.0
+    for _ in range(2):
+        seldom.log()
+    assert said[1:] == ['6 are lost (3 more since the last report)']
+
+
+def test_refused_rows_are_listed_up_to_a_limit():
+    refused = Refused(logging.getLogger('test'), 'source')
+    refused.add_rows([Refusal(row, f'a/{row}', f'reason {row}') for row in range(7)])
+    rows = refused.rows()
+    assert rows['refused rows'].splitlines() == [f"'a/{i}': reason {i}" for i in range(7)]
+    assert rows['refused rows not listed'] == 0
+    refused.add_rows([Refusal(row, f'b/{row}', 'no') for row in range(3 * LISTED)])
+    rows = refused.rows()
+    assert len(rows['refused rows'].splitlines()) == LISTED
+    assert rows['refused rows not listed'] == 2 * LISTED + 7

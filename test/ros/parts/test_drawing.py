@@ -4,11 +4,8 @@
 
 import numpy as np
 import pytest
-
-pytest.importorskip('rclpy', reason='rclpy is not installed', exc_type=ImportError)
-
-from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.serialization import deserialize_message
+from ros.messages import LATCHED, coordinates, marker, write, xyz
 from scipy.spatial.transform import Rotation
 from visualization_msgs.msg import Marker, MarkerArray
 
@@ -17,12 +14,7 @@ from bvh_ros.ros.parts.drawing import Drawing, marker_array, obstacles, with_few
 from bvh_ros.scene import Mesh, NodeScene, ShapeKind, Shapes
 from bvh_ros.tree import DynamicBVH
 
-LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 RNG = np.random.default_rng(5)
-
-
-def xyz(points):
-    return np.array([(point.x, point.y, point.z) for point in points]).reshape(-1, 3)
 
 
 @pytest.mark.parametrize('text', ['', 'a', 'ab', 'abc', 'é'])
@@ -40,17 +32,15 @@ def test_the_bytes_are_those_of_a_marker_array(text, count):
     expected = Marker(ns=text, id=0, type=Marker.LINE_LIST, text=text)
     expected.header.frame_id = 'map' + text
     expected.header.stamp.sec, expected.header.stamp.nanosec = 7, 9
-    at, turn, scale, colour = (
-        expected.pose.position, expected.pose.orientation, expected.scale, expected.color,
-    )  # fmt: skip
-    at.x, at.y, at.z, turn.z, turn.w = 4.0, 5.0, 6.0, 1.0, 0.0
-    scale.x, scale.y, scale.z = 1.0, 2.0, 3.0
-    colour.r, colour.g, colour.b, colour.a = 0.5, 0.25, 0.125, 1.0
+    write(expected.pose.position, (4, 5, 6))
+    write(expected.pose.orientation, (0, 0, 1, 0))
+    write(expected.scale, (1, 2, 3))
+    write(expected.color, (0.5, 0.25, 0.125, 1))
     expected.points, expected.colors = one.points, one.colors
     assert one == expected
     assert np.array_equal(xyz(one.points), points)
-    read = [(c.r, c.g, c.b, c.a) for c in one.colors]
-    assert np.array_equal(np.array(read).reshape(-1, 4), colours)
+    read = np.array([coordinates(colour) for colour in one.colors])
+    assert np.array_equal(read.reshape(-1, 4), colours)
     assert other.id == 1
 
 
@@ -193,14 +183,18 @@ def test_edges_are_those_of_the_box():
     assert np.allclose(np.linalg.norm(flat[::2] - flat[1::2], axis=1), [1, 1, 2, 2] * 4)
 
 
+@pytest.fixture(scope='module')
+def filled(world):
+    boxes = [marker(i, (i, 0, 0), (0.5, 0.5, 0.5)) for i in range(20)]
+    world.show(*boxes, marker(99, (5, 5, 0), (1, 2, 3)))
+    return world
+
+
 class Look:
     """What RViz shows of a topic."""
 
     def __init__(self, world, topic):
-        self.world, self.arrays = world, []
-        self.subscription = world.node.create_subscription(
-            MarkerArray, f'{world.name}/{topic}', self.arrays.append, LATCHED
-        )
+        self.arrays = world.heard(MarkerArray, topic, LATCHED)
 
     def markers(self):
         if not self.arrays:
@@ -209,48 +203,9 @@ class Look:
         assert clear.action == Marker.DELETEALL
         return others
 
-    def end(self):
-        self.world.node.destroy_subscription(self.subscription)
 
-
-@pytest.fixture
-def look(world):
-    looks = []
-
-    def at(topic):
-        looks.append(Look(world, topic))
-        return looks[-1]
-
-    yield at
-    for one in looks:
-        one.end()
-
-
-@pytest.fixture
-def filled(world, messages):
-    assert world.trigger('clear').success
-    boxes = [messages.marker(i, (i, 0, 0), (0.5, 0.5, 0.5)) for i in range(20)]
-    world.markers(*boxes, messages.marker(99, (5, 5, 0), (1, 2, 3)))
-    world.until(lambda: len(world.everything()) == 21)
-    return world
-
-
-def test_the_scene(filled, look, messages):
-    scene = look('scene')
-    filled.until(lambda: len(scene.markers()) == 2)
-    cubes, other = scene.markers()
-    assert (cubes.type, cubes.ns, cubes.header.frame_id) == (Marker.CUBE_LIST, 'markers', 'map')
-    assert np.array_equal(xyz(cubes.points), [(i, 0, 0) for i in range(20)])
-    assert cubes.scale.x == cubes.scale.y == cubes.scale.z == 0.5
-    assert xyz(other.points).max(axis=0).tolist() == [5.5, 6, 1.5]
-    filled.markers(messages.marker(99, action=2))
-    filled.until(lambda: len(scene.markers()) == 1)
-    assert filled.trigger('clear').success
-    filled.until(lambda: scene.markers() == [])
-
-
-def test_the_tree(filled, look):
-    tree = look('tree')
+def test_the_tree(filled):
+    tree = Look(filled, 'tree')
     filled.until(lambda: tree.markers())
     (lines,) = tree.markers()
     lo, hi = edges_of(xyz(lines.points))
@@ -259,9 +214,9 @@ def test_the_tree(filled, look):
     assert 20 < len(lo) <= 41
 
 
-def test_the_last_queries(filled, look):
-    queries = look('queries')
-    filled.until(lambda: queries.subscription.get_publisher_count() == 1)
+def test_the_last_queries(filled):
+    queries, topic = Look(filled, 'queries'), f'{filled.name}/queries'
+    filled.until(lambda: filled.node.count_publishers(topic) == 1)
 
     def ask():
         filled.plan('raycast', (0, 9, 0), (30, 9, 0))
@@ -280,12 +235,24 @@ def test_the_last_queries(filled, look):
     assert [-0.25, 0, 0] in xyz(hits.points).tolist()
 
 
-def test_a_limit_is_said(start_node, messages):
+def test_the_scene(filled):
+    scene = Look(filled, 'scene')
+    filled.until(lambda: len(scene.markers()) == 2)
+    cubes, other = scene.markers()
+    assert (cubes.type, cubes.ns, cubes.header.frame_id) == (Marker.CUBE_LIST, 'markers', 'map')
+    assert np.array_equal(xyz(cubes.points), [(i, 0, 0) for i in range(20)])
+    assert coordinates(cubes.scale) == (0.5, 0.5, 0.5)
+    assert xyz(other.points).max(axis=0).tolist() == [5.5, 6, 1.5]
+    filled.markers(marker(99, action=Marker.DELETE))
+    filled.until(lambda: len(scene.markers()) == 1)
+    assert filled.trigger('clear').success
+    filled.until(lambda: scene.markers() == [])
+
+
+def test_a_limit_is_said(start_node):
     world = start_node({'draw.limit': 5, 'draw.last_depth': 9})
-    world.markers(*(messages.marker(i, (2 * i, 0, 0)) for i in range(9)))
-    world.until(lambda: len(world.everything()) == 9)
+    world.show(*(marker(i, (2 * i, 0, 0)) for i in range(9)))
     for topic, text in (('scene', '5 of 9 obstacles are drawn'), ('tree', 'the first 5 boxes')):
         shown = Look(world, topic)
-        world.until(lambda shown=shown: shown.markers())
+        world.until(shown.markers)
         assert shown.markers()[-1].text.startswith(text)
-        shown.end()

@@ -9,14 +9,12 @@ import time
 from pathlib import Path
 
 import pytest
-
-pytest.importorskip('rclpy', reason='rclpy is not installed', exc_type=ImportError)
-
 from diagnostic_msgs.msg import DiagnosticStatus
 from ros import patience
+from ros.messages import marker
 
 from bvh_ros import demo
-from bvh_ros.client import BvhClient, BvhError, BvhTimeoutError
+from bvh_ros.client import BvhError, BvhTimeoutError
 from bvh_ros.ros import running
 
 SCRIPT = Path(__file__).parents[1] / 'slow_node.py'
@@ -42,8 +40,7 @@ def asked(world, name, **given):
 
 
 @pytest.mark.usefixtures('patient_client')
-def test_what_is_ready_is_answered_and_the_rest_soon(start, tmp_path, messages):
-    marker = messages.marker
+def test_what_is_ready_is_answered_and_the_rest_soon(start, tmp_path, client_of):
     world = start()
     world.until(lambda: COMPILING.search(asked(world, 'overlap')), patience.COMPILING)
     world.markers(marker(1))
@@ -58,7 +55,7 @@ def test_what_is_ready_is_answered_and_the_rest_soon(start, tmp_path, messages):
     world.markers(marker(2, (3, 0, 0), type=2))  # a ball: rays at true shapes are not ready
     world.until(lambda: COMPILING.search(asked(world, 'raycast')))
 
-    client = BvhClient(world.node, world.name, timeout=patience.PATIENCE)
+    client = client_of(world)
     with pytest.raises(BvhError, match='compiling: '):
         client.overlap((0, 0, 0), (1, 1, 1))
     with pytest.raises(BvhError, match=COMPILING):
@@ -77,12 +74,12 @@ def test_what_is_ready_is_answered_and_the_rest_soon(start, tmp_path, messages):
     assert told == ['first start', 'compiled in']  # and a line a minute in between
 
 
-def test_the_demo_asks_first_what_is_ready(start, tmp_path, capsys):
+def test_the_demo_asks_first_what_is_ready(start, tmp_path, capsys, client_of):
     world = start()
-    client = BvhClient(world.node, world.name, timeout=patience.PATIENCE)
+    client = client_of(world)
 
     def ask_and_go_on():
-        demo.ask_first(world.node, client, time.monotonic())
+        demo.ask_first(client.node, client, time.monotonic())
         (tmp_path / 'go').touch()
 
     running.wait_until_ready(client, world.process, ask_and_go_on)
@@ -100,10 +97,14 @@ def is_running(pid):
 
 @pytest.mark.slow
 @pytest.mark.parametrize('how', [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
-def test_whoever_ends_the_node_ends_the_compiling(start, tmp_path, how):
+def test_whoever_ends_the_node_ends_the_compiling(start, tmp_path, seconds_to_end, how):
     world, compiles = start(), tmp_path / 'compiles'
     world.until(lambda: compiles.read_text() != '')  # it is there before anything stands in it
     pid = int(compiles.read_text())
     assert is_running(pid)
-    world.end(how)
+    if how == signal.SIGKILL:
+        world.end(how)
+    else:
+        assert seconds_to_end(world.process, how) < 1.0
     world.until(lambda: not is_running(pid))
+    assert 'Traceback' not in world.said()

@@ -5,24 +5,19 @@ and what is no answer says so.
 """
 
 import math
-import time
 
 import numpy as np
 import pytest
-
-pytest.importorskip('rclpy', reason='rclpy is not installed', exc_type=ImportError)
-
-import rclpy
 from geometry_msgs.msg import PoseStamped
 from nav_msgs.msg import Path
 from ros.clouds import table
+from ros.messages import cloud
 from ros.parts.mixed_world import FACING, PARAMETERS, PLACE, SHAPES, fill, same_scene
-from ros.patience import COMPILING, PATIENCE
+from ros.patience import PATIENCE, once_compiled
 from sensor_msgs.msg import PointCloud2
 from turns import unit_quaternions
 
-from bvh_ros.client import FREE, UNANSWERED, BvhClient, BvhError
-from bvh_ros.ros.access import ConfigurationError
+from bvh_ros.client import FREE, UNANSWERED, BvhError
 from bvh_ros.scene import NO_NODE, NodeScene, Shapes
 
 pytestmark = pytest.mark.slow
@@ -34,9 +29,9 @@ GIVEN = {**PARAMETERS, 'footprint': FOOTPRINT, 'nearest_limit': 5, 'threads': 2}
 
 
 @pytest.fixture(scope='module')
-def world(start_node, messages):
+def world(start_node):
     world = start_node(GIVEN)
-    fill(world, messages)
+    fill(world)
     return world
 
 
@@ -46,31 +41,13 @@ def scene():
     return same_scene()
 
 
-@pytest.fixture
-def node(ros_context):
-    node = rclpy.create_node('asker')
-    yield node
-    node.destroy_node()
-
-
 @pytest.fixture(params=['all', 'even'])
-def client(request, world, node):
+def client(request, world, client_of):
     """A client, and what of the world it sees."""
     view = request.param == 'even'
-    client = BvhClient(node, f'{world.name}/even' if view else world.name, timeout=PATIENCE)
+    client = client_of(f'{world.name}/even' if view else world)
     client.mask = 2 if view else 1
     return client
-
-
-def answered(ask):
-    """The answer, once what it takes is compiled."""
-    deadline = time.monotonic() + COMPILING
-    while True:
-        try:
-            return ask()
-        except BvhError:
-            assert time.monotonic() < deadline
-            time.sleep(0.2)
 
 
 def same(found, expected):
@@ -80,7 +57,7 @@ def same(found, expected):
 def test_balls(client, scene):
     origins, directions = RNG.uniform(-8, 8, (ASKED, 3)), RNG.normal(size=(ASKED, 3))
     t_max, radius = RNG.uniform(1, 6, ASKED), RNG.choice([0.0, 0.2, 0.7], ASKED)
-    hits = answered(lambda: client.raycast_many(origins, directions, t_max, radius=radius))
+    hits = once_compiled(lambda: client.raycast_many(origins, directions, t_max, radius=radius))
     expected = scene.raycast_many(
         origins, directions, t_max, client.mask, radius=radius.astype(np.float64)
     )
@@ -97,7 +74,7 @@ def test_balls(client, scene):
 def test_boxes(client, scene):
     centers, sizes = RNG.uniform(-7, 7, (ASKED, 3)), RNG.uniform(0, 1.5, (ASKED, 3))
     turns, tolerance = unit_quaternions(RNG.normal(size=(ASKED, 4))), RNG.choice([0.0, 0.3], ASKED)
-    told = answered(lambda: client.overlap_many(centers, sizes, turns, tolerance))
+    told = once_compiled(lambda: client.overlap_many(centers, sizes, turns, tolerance))
     expected = scene.overlap_many(centers, sizes, turns, tolerance, client.mask, 'hits')
     same(told.obstacles, expected.handles)
     same(told.counts, expected.counts)
@@ -117,7 +94,7 @@ def test_boxes(client, scene):
 
 def test_points(client, scene):
     points, reach = RNG.uniform(-8, 8, (ASKED, 3)), RNG.choice([0.1, 1.0, math.inf], ASKED)
-    told = answered(lambda: client.nearest_many(points, reach))
+    told = once_compiled(lambda: client.nearest_many(points, reach))
     handles, distances, where = scene.nearest_many(points, 1, reach, client.mask)
     same(told.obstacles, handles[:, 0])
     same(told.distances, distances[:, 0])
@@ -135,7 +112,7 @@ def test_points(client, scene):
 
 def test_paths(client, scene):
     places, turns = RNG.uniform(-7, 7, (ASKED, 3)), unit_quaternions(RNG.normal(size=(ASKED, 4)))
-    told = answered(lambda: client.check_path(places, turns))
+    told = once_compiled(lambda: client.check_path(places, turns))
     shapes = Shapes.boxes(places, FOOTPRINT, turns)
     handles, distances, mine, points = scene.clearance_many(shapes, mask=client.mask, signed=True)
     same(told.obstacles, handles)
@@ -159,11 +136,11 @@ def test_paths(client, scene):
 
 
 @pytest.mark.usefixtures('patient_client')
-def test_in_another_frame(world, scene, node):
-    client = BvhClient(node, world.name, timeout=PATIENCE)
+def test_in_another_frame(world, scene, client_of):
+    client = client_of(world)
     points = RNG.uniform(-8, 8, (50, 3))
     local, turns = FACING.inv().apply(points - PLACE), FACING.inv().as_quat()[None]
-    near = answered(lambda: client.nearest_many(local, frame_id='lidar'))
+    near = once_compiled(lambda: client.nearest_many(local, frame_id='lidar'))
     expected = scene.nearest_many(points)
     same(near.obstacles, expected[0][:, 0])
     assert np.allclose(near.distances, expected[1][:, 0])
@@ -171,9 +148,9 @@ def test_in_another_frame(world, scene, node):
     back = FACING.apply(near.points + near.distances[:, None] * near.normals) + PLACE
     assert np.allclose(back[near.distances > 0], points[near.distances > 0])
     turned = np.repeat(turns, 50, axis=0)  # unturned in the node's frame
-    told = answered(lambda: client.overlap_many(local, [1, 2, 3], turned, frame_id='lidar'))
+    told = once_compiled(lambda: client.overlap_many(local, [1, 2, 3], turned, frame_id='lidar'))
     same(told.counts, scene.overlap_many(points, [1, 2, 3], want='count'))
-    path = answered(lambda: client.check_path(local, turned, frame_id='lidar'))
+    path = once_compiled(lambda: client.check_path(local, turned, frame_id='lidar'))
     clear = scene.clearance_many(Shapes.boxes(points, FOOTPRINT), signed=True)
     assert np.allclose(path.distances, clear[1], atol=1e-9)
     with pytest.raises(BvhError, match='mars'):
@@ -184,24 +161,18 @@ def test_in_another_frame(world, scene, node):
 
 def replies(world, asked, told, message):
     """What is told of a message that no client of ours would send."""
-    heard = []
-    topics = f'{world.name}/{asked}', f'{world.name}/{told}'
-    publisher = world.node.create_publisher(type(message), topics[0], 10)
-    subscription = world.node.create_subscription(PointCloud2, topics[1], heard.append, 10)
-    world.until(lambda: publisher.get_subscription_count() > 0)
-    world.until(lambda: subscription.get_publisher_count() > 0)
+    heard = world.heard(PointCloud2, told)
+    world.until(lambda: world.node.count_publishers(f'{world.name}/{told}'))
     world.until_found()
-    publisher.publish(message)
+    world.publish(f'bvh/{asked}', message)
     world.until(lambda: heard)
-    world.node.destroy_publisher(publisher)
-    world.node.destroy_subscription(subscription)
     return table(heard[0])
 
 
-def test_clouds_that_say_too_little(world, messages):
+def test_clouds_that_say_too_little(world):
     for asked, told, names in (('points', 'nearest_hits', 'xy'), ('boxes', 'box_hits', 'xyz')):
-        cloud = messages.cloud({name: np.zeros(3) for name in [*names, 'sx', 'a', 'b', 'c']})
-        rows = replies(world, asked, told, cloud)
+        asks = cloud({name: np.zeros(3) for name in [*names, 'sx', 'a', 'b', 'c']})
+        rows = replies(world, asked, told, asks)
         assert rows['obstacle'].tolist() == [UNANSWERED] * 3
         assert np.isnan(rows['distance']).all()
     path = Path()
@@ -215,7 +186,7 @@ def test_clouds_that_say_too_little(world, messages):
 
 def test_nearest_as_a_service(client, scene, world):
     for point in RNG.uniform(-8, 8, (20, 3)):
-        hits = answered(lambda p=point: client.nearest(p))
+        hits = once_compiled(lambda p=point: client.nearest(p))
         expected = scene.nearest(point, 5, mask=client.mask)
         assert [hit.name for hit in hits] == [hit.name for hit in expected]
         assert [hit.point for hit in hits] == [tuple(hit.point.tolist()) for hit in expected]
@@ -233,9 +204,8 @@ def test_nearest_as_a_service(client, scene, world):
 
 
 @pytest.mark.usefixtures('patient_client')
-def test_an_incomplete_world(start_node, node):
-    world = start_node({'markers.required': True, 'footprint': [0.3]})
-    client = BvhClient(node, world.name, timeout=PATIENCE)
+def test_an_incomplete_world(start_node, client_of):
+    client = client_of(start_node({'markers.required': True, 'footprint': [0.3]}))
     client.wait_until_ready(PATIENCE)
     with pytest.raises(BvhError, match='has not spoken yet'):
         client.nearest([0, 0, 0])
@@ -247,13 +217,6 @@ def test_an_incomplete_world(start_node, node):
     ):
         with pytest.raises(BvhError, match='has not spoken yet'):
             ask()
-
-
-def test_a_footprint_that_is_none(configure):
-    for wrong in ([1.0, 2.0], [-1.0], [math.inf], [0.0, 1.0, 1.0]):
-        with pytest.raises(ConfigurationError, match='footprint'):
-            configure({'footprint': wrong})
-    assert configure({}).settings.footprint == ()
 
 
 def test_what_paths_need_is_compiled_at_the_start(configure):

@@ -2,17 +2,19 @@
 # SPDX-License-Identifier: Apache-2.0
 """MarkerArrays to changes of the scene."""
 
-import logging
 import math
 from random import Random
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from rclpy.serialization import serialize_message
+from ros import messages
+from ros.messages import SECOND, stamp
+from ros.sources.changes import change_of, source_of
 from ros.sources.generators import ended
-from ros.sources.marker_tables import change_of
+from visualization_msgs.msg import MarkerArray
 
-from bvh_ros.ros.access import FrameError, SourceSettings, Transform, create_source
+from bvh_ros.ros.access import FrameError, Transform
 from bvh_ros.scene import NodeScene, ShapeKind
 
 ARROW, CUBE, SPHERE, CYLINDER, CUBE_LIST, SPHERE_LIST, MESH, TRIANGLES = 0, 1, 2, 3, 6, 7, 10, 11
@@ -20,30 +22,14 @@ DELETE, DELETE_ALL = 2, 3
 NOW = 1_000_000_000_000
 
 
-def vector(x=0.0, y=0.0, z=0.0, **more):
-    return SimpleNamespace(x=x, y=y, z=z, **more)
-
-
-def marker(number=0, ns='a', shape=CUBE, action=0, **given):
-    """A marker with the fields that are read."""
-    stamp, lifetime = given.get('stamp', 0), given.get('lifetime', 0)
-    turn = given.get('turn', (0, 0, 0, 1))
-    return SimpleNamespace(
-        header=SimpleNamespace(
-            frame_id=given.get('frame', ''),
-            stamp=SimpleNamespace(sec=stamp // 10**9, nanosec=stamp % 10**9),
-        ),
-        ns=ns,
-        id=number,
-        type=shape,
-        action=action,
-        pose=SimpleNamespace(
-            position=vector(*given.get('at', (0, 0, 0))), orientation=vector(*turn[:3], w=turn[3])
-        ),
-        scale=vector(*given.get('scale', (1, 1, 1))),
-        lifetime=SimpleNamespace(sec=lifetime // 10**9, nanosec=lifetime % 10**9),
-        points=[vector(*point) for point in given.get('points', ())],
-    )
+def marker(number=0, ns='a', shape=CUBE, action=0, *, lifetime=0, **given):
+    """A marker whose times are ns."""
+    told, place = stamp(given.pop('stamp', 0)), given.pop('at', (0, 0, 0))
+    given = {'ns': ns, 'type': shape, 'action': action, 'frame': '', **given}
+    made = messages.marker(number, place, given.pop('scale', (1, 1, 1)), **given)
+    made.header.stamp = told
+    made.lifetime.sec, made.lifetime.nanosec = divmod(lifetime, SECOND)
+    return made
 
 
 def into_map(frame_id, stamp):
@@ -57,8 +43,7 @@ def into_map(frame_id, stamp):
 
 
 def change(*array, prefix='', latest=None):
-    given = {'now': NOW, 'into_node': into_map, 'prefix': prefix, 'latest': latest}
-    return change_of(array, **given)
+    return change_of(array, now=NOW, into_node=into_map, prefix=prefix, latest=latest)
 
 
 def names_of(change):
@@ -327,54 +312,14 @@ def random_marker(random):
     )
 
 
-def serialised(array):
-    """The bytes of a MarkerArray of these markers."""
-    from geometry_msgs.msg import Point
-    from rclpy.serialization import serialize_message
-    from visualization_msgs.msg import Marker, MarkerArray
-
-    message = MarkerArray()
-    for each in array:
-        made = Marker(ns=each.ns, id=each.id, type=each.type, action=each.action)
-        made.header.frame_id = each.header.frame_id
-        copy(each.pose.position, made.pose.position)
-        copy(each.pose.orientation, made.pose.orientation)
-        copy(each.scale, made.scale)
-        made.points = [copy(point, Point()) for point in each.points]
-        message.markers.append(made)
-    return serialize_message(message)
-
-
-def copy(vector, message):
-    """Write the coordinates of a vector into a message."""
-    for axis, number in vars(vector).items():
-        setattr(message, axis, float(number))
-    return message
-
-
-@pytest.fixture
-def source_of():
-    """A source of markers without a node."""
-    pytest.importorskip('rclpy', reason='rclpy is not installed', exc_type=ImportError)
-
-    def make(scene):
-        node = SimpleNamespace(get_logger=logging.getLogger, get_clock=lambda: None)
-        settings = SourceSettings(
-            *('test', 'MarkerArray', 'test', '', False, 0.0), {'meshes': 'convex'}
-        )
-        return create_source(node, settings, scene, SimpleNamespace(into_node=into_map))
-
-    return make
-
-
-def test_any_message_ends_as_if_it_were_read_marker_by_marker(source_of):
+def test_any_message_ends_as_if_it_were_read_marker_by_marker():
     random = Random(7)
     for _ in range(100):
         scene, told = NodeScene(), ToldScene()
-        source = source_of(scene)
+        source = source_of(scene, into_map)
         for _ in range(6):
             array = [random_marker(random) for _ in range(random.randrange(12))]
-            ended(source.apply([serialised(array)], NOW))
+            ended(source.apply([serialize_message(MarkerArray(markers=array))], NOW))
             for one in array:
                 told.tell(one)
             found = {name: scene.get(name).position[0] for _, name in scene.names()}

@@ -6,9 +6,9 @@ import math
 
 import numpy as np
 import pytest
-from ros.patience import PATIENCE
-
-pytest.importorskip('rclpy', reason='rclpy is not installed', exc_type=ImportError)
+from ros.messages import LATCHED, coordinates, marker, xyz
+from std_msgs.msg import ColorRGBA
+from visualization_msgs.msg import MarkerArray
 
 TRIANGLE_LIST = 11
 CORNERS = np.float32([(1, 0, 0), (0, 1, 0), (-1, 0, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1)])
@@ -18,30 +18,26 @@ NO_AREA = [CORNERS[i] for i in (0, 0, 1)]
 
 
 @pytest.mark.parametrize('planar', [False, pytest.param(True, marks=pytest.mark.slow)])
-def test_a_scaled_coloured_mesh_with_triangles_without_area(start_node, messages, planar):
+def test_a_scaled_coloured_mesh_with_triangles_without_area(start_node, planar):
     """An octahedron, 2 m x 4 m x 6 m, turned by a quarter about z: 4 m along x, 2 m along y."""
-    from std_msgs.msg import ColorRGBA
-
     world = start_node({'planar': planar})
     quarter = (0, 0, math.sqrt(0.5), math.sqrt(0.5))
-    solid = messages.marker(
+    solid = marker(
         1, (5, 0, 0), (1, 2, 3), turn=quarter, type=TRIANGLE_LIST, points=POINTS + NO_AREA
     )
     solid.colors = [ColorRGBA(r=1.0, a=1.0)] * len(solid.points)
-    world.markers(solid, messages.marker(2, (5, 9, 0), type=TRIANGLE_LIST, points=POINTS[:6]))
-    world.until(lambda: world.everything() == {'a/1'})
+    world.markers(solid, marker(2, (5, 9, 0), type=TRIANGLE_LIST, points=POINTS[:6]))
+    world.holds('a/1')
     assert 'not closed' in world.said() or 'flat' in world.said()
 
     (pose,) = world.plan('raycast', (0, 0.5, 0), (9, 0.5, 0)).poses
-    at, turn = pose.pose.position, pose.pose.orientation
-    assert (at.x, at.y, at.z) == pytest.approx((4.0, 0.5, 0.0))
+    assert coordinates(pose) == pytest.approx((4.0, 0.5, 0.0))
     # The edge from (3, 0) to (5, 1): outwards (-1, 2), that is x turned by 116.6 degrees; in
     # space the ray meets the edge of the octahedron, and the normal is one of its two faces.
     if planar:
-        assert turn.z == pytest.approx(math.sin(math.atan2(2, -1) / 2))
-    (ball,) = world.plan('raycast', (5, 9, 0), (5, -9, 0), tolerance=0.5).poses
-    at = ball.pose.position
-    assert (at.x, at.y, at.z) == pytest.approx((5.0, 1.0, 0.0), abs=1e-6)
+        assert pose.pose.orientation.z == pytest.approx(math.sin(math.atan2(2, -1) / 2))
+    ball = world.place('raycast', (5, 9, 0), (5, -9, 0), tolerance=0.5)
+    assert ball == pytest.approx((5.0, 1.0, 0.0), abs=1e-6)
 
     corner = (6.6, 0.6, 0.0)  # in its box, beside it
     assert world.names('raycast', corner, corner) == []
@@ -62,16 +58,16 @@ FLOOR, WALL = ((-2, -1, -0.1), (2, 1, 0.1)), ((-2, 0.8, 0.1), (2, 1.0, 1.0))
 SHEET = [(4, -1, 0), (4, 1, 0), (4, 1, 1), (4, -1, 0), (4, 1, 1), (4, -1, 1)]
 
 
+@pytest.mark.slow  # it compiles what only nodes with such meshes need
 @pytest.mark.parametrize('meshes', ['solid', 'surface'])
-def test_meshes_that_are_not_convex(start_node, messages, meshes):
+def test_meshes_that_are_not_convex(start_node, meshes):
     other = tuple((x, -y, z) for x, y, z in WALL)
     points = [place for ends in (FLOOR, WALL, other) for place in corners_of_box(*ends)]
     source = {'type': 'MarkerArray', 'topic': 'bvh/obstacles', 'meshes': meshes}
     world = start_node({'sources': ['markers'], 'markers': source})
-    channel = messages.marker(1, (0, 0, 0), type=TRIANGLE_LIST, points=points)
-    sheet = messages.marker(2, (0, 0, 0), type=TRIANGLE_LIST, points=SHEET)
-    world.markers(channel, sheet)
-    world.until(lambda: world.everything() == {'a/1', 'a/2'})
+    channel = marker(1, (0, 0, 0), type=TRIANGLE_LIST, points=points)
+    sheet = marker(2, (0, 0, 0), type=TRIANGLE_LIST, points=SHEET)
+    world.show(channel, sheet)
     assert world.names('raycast', (-3, 0, 0.5), (3, 0, 0.5)) == []  # through the channel
     assert world.names('raycast', (-3, 0, 0.5), (5, 0, 0.5)) == ['a/2']
     assert world.names('raycast', (-3, 0, 0.5), (3, 0, 0.5), tolerance=0.5) == ['a/1']
@@ -80,9 +76,8 @@ def test_meshes_that_are_not_convex(start_node, messages, meshes):
     assert world.names('overlap', *inside) == (['a/1'] if meshes == 'solid' else [])
     point = 0, 0.5, 0.5
     world.until_compiled(lambda: world.names('nearest', point, point, tolerance=0.4) == ['a/1'])
-    (pose,) = world.plan('nearest', point, point, tolerance=0.4).poses
-    assert pose.pose.position.y == pytest.approx(0.8, abs=1e-6)
-    scene, queries = heard(world, 'scene'), heard(world, 'queries')
+    assert world.place('nearest', point, point, tolerance=0.4)[1] == pytest.approx(0.8, abs=1e-6)
+    scene, queries = (world.heard(MarkerArray, of, LATCHED) for of in ('scene', 'queries'))
     world.until(lambda: scene and len(scene[-1].markers) == 3)
     shown = [xyz(marker.points).tolist() for marker in scene[-1].markers[1:]]
     assert shown == [np.array(points).tolist(), np.array(SHEET, float).tolist()]
@@ -103,22 +98,17 @@ def test_meshes_that_are_not_convex(start_node, messages, meshes):
     world.until(lambda: world.names('raycast', (25, 0.9, 9), (25, 0.9, 0)) == ['a/1'])
 
 
-@pytest.mark.slow  # it compiles what only planar nodes with such meshes need
-def test_a_planar_node_sees_their_shadows(start_node, messages):
+@pytest.mark.slow  # nor do planar nodes
+def test_a_planar_node_sees_their_shadows(start_node, client_of):
     """An L and a sheet that stands upright; a footprint at rest beside, and in them."""
-    import rclpy
-
-    from bvh_ros.client import BvhClient
-
     parts = (((0, 0, 0), (9, 3, 2)), ((0, 0, 0), (3, 9, 2)))
     points = [place for ends in parts for place in corners_of_box(*ends)]
     source = {'type': 'MarkerArray', 'topic': 'bvh/obstacles', 'meshes': 'solid'}
     given = {'sources': ['markers'], 'markers': source, 'footprint': [1.0, 1.0, 1.0]}
     world = start_node({'planar': True, **given})
-    corner = messages.marker(1, (0, 0, 50), type=TRIANGLE_LIST, points=points)
-    sheet = messages.marker(2, (-10, 0, 0), type=TRIANGLE_LIST, points=SHEET)
-    world.markers(corner, sheet)
-    world.until(lambda: world.everything() == {'a/1', 'a/2'})
+    corner = marker(1, (0, 0, 50), type=TRIANGLE_LIST, points=points)
+    sheet = marker(2, (-10, 0, 0), type=TRIANGLE_LIST, points=SHEET)
+    world.show(corner, sheet)
     assert world.names('raycast', (8, 4, 0), (4, 8, 0)) == []  # through the nook
     assert world.names('raycast', (8, 8, 0), (1, 1, 0)) == ['a/1']
     assert world.names('raycast', (-9, 0, 0), (-3, 0, 0)) == ['a/2']
@@ -127,27 +117,9 @@ def test_a_planar_node_sees_their_shadows(start_node, messages):
     assert world.names('overlap', (2, 4, 0), (8, 8, 0)) == ['a/1']
     point = 8, 8, 0
     world.until_compiled(lambda: world.names('nearest', point, point, tolerance=5.0) == ['a/1'])
-    node = rclpy.create_node('asks')
-    client = BvhClient(node, world.name, timeout=PATIENCE)
-    hits = client.check_path([[8.0, 8.0, 0.0], [4.0, 1.0, 0.0]])
+    hits = client_of(world).check_path([[8.0, 8.0, 0.0], [4.0, 1.0, 0.0]])
     assert hits.distances == pytest.approx([4.5, 0.0])  # how deep it is there is not known
     assert not hits.normals[1].any()
-    node.destroy_node()
-
-
-def heard(world, topic):
-    """The MarkerArrays of a topic, as they come."""
-    from rclpy.qos import DurabilityPolicy, QoSProfile
-    from visualization_msgs.msg import MarkerArray
-
-    found = []
-    qos = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-    world.node.create_subscription(MarkerArray, f'{world.name}/{topic}', found.append, qos)
-    return found
-
-
-def xyz(points):
-    return np.array([(point.x, point.y, point.z) for point in points])
 
 
 def corners_of_box(lo, hi):

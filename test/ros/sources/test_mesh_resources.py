@@ -2,27 +2,22 @@
 # SPDX-License-Identifier: Apache-2.0
 """Obstacles whose meshes are files: which files may be read, and what is known meanwhile."""
 
-import logging
 import os
 import struct
 import time
-from pathlib import Path
-from types import SimpleNamespace
+from functools import partial
 from urllib.parse import quote
 
 import numpy as np
 import pytest
-from ros.patience import PATIENCE
-from ros.sources.generators import ended
-from ros.sources.marker_tables import change_of
-from scene.reference import box_of_triangles
-
-pytest.importorskip('rclpy', reason='rclpy is not installed', exc_type=ImportError)
-
 from rclpy.serialization import serialize_message
-from visualization_msgs.msg import Marker, MarkerArray
+from ros.messages import marker
+from ros.patience import PATIENCE
+from ros.sources.changes import change_of, source_of
+from ros.sources.generators import ended
+from scene.reference import box_of_triangles
+from visualization_msgs.msg import MarkerArray
 
-from bvh_ros.ros.access import ConfigurationError, SourceSettings, create_source
 from bvh_ros.scene import AS_CONVEX, AS_SOLID, NodeScene, ShapeKind
 
 MOST_SECONDS = 'bvh_ros.ros.sources.mesh_resources.MOST_SECONDS'
@@ -99,10 +94,6 @@ def finder_in(configure, folder):
     limits = {'mesh_limit': 100, 'mesh_megabytes': 0.05}
     (source,) = configure({'mesh_paths': [str(folder)], **limits}).world.sources
     return source.mesh_files()
-
-
-def uri(root, name, start='file://'):
-    return start + name.format(root=root)
 
 
 FOUND = [
@@ -235,23 +226,7 @@ def test_a_reader_that_takes_too_long_is_killed(finder, files, monkeypatch):
 
 
 def resource(number, name, scale=(1, 1, 1), kind=MESH_RESOURCE):
-    def vector(x, y, z, **more):
-        return SimpleNamespace(x=x, y=y, z=z, **more)
-
-    time = SimpleNamespace(sec=0, nanosec=0)
-    pose = SimpleNamespace(position=vector(number, 0, 0), orientation=vector(0, 0, 0, w=1))
-    return SimpleNamespace(
-        header=SimpleNamespace(frame_id='', stamp=time),
-        ns='a',
-        id=number,
-        type=kind,
-        action=0,
-        pose=pose,
-        lifetime=time,
-        scale=vector(*scale),
-        points=(),
-        mesh_resource=name,
-    )
+    return marker(number, (number, 0, 0), scale, type=kind, frame='', mesh=name)
 
 
 def change(*array, **given):
@@ -291,18 +266,11 @@ def test_without_files_they_are_refused():
 def test_it_is_unknown_until_the_scene_holds_it(finder, files):
     """A source is asked at every pause."""
     scene = NodeScene()
-    node = SimpleNamespace(get_logger=logging.getLogger, get_clock=lambda: None)
-    settings = SourceSettings(*('s', 'MarkerArray', 't', '', False, 0.0), {'meshes': AS_SOLID})
-    frames = SimpleNamespace(into_node=lambda _frame, _stamp: None)
-    source = create_source(node, settings, scene, frames)
+    source = source_of(scene, meshes=AS_SOLID)
     source.mesh_files = lambda: finder
-    array = MarkerArray(markers=[Marker(ns='a', id=k, type=1) for k in range(1, 20_000)])
-    for number, marker in enumerate(array.markers, 1):
-        marker.pose.position.x = float(number)
-        marker.scale.x = marker.scale.y = marker.scale.z = 1.0
-    array.markers[0].type = MESH_RESOURCE
-    array.markers[0].mesh_resource = f'file://{files}/meshes/a.stl'
-    message = [serialize_message(array)]
+    array = [resource(1, f'file://{files}/meshes/a.stl')]
+    array += [marker(k, (k, 0, 0)) for k in range(2, 20_000)]
+    message = [serialize_message(MarkerArray(markers=array))]
     for _ in source.apply(message, NOW):
         assert source.problem(NOW).startswith("source 's' loads file:///")
     assert (source.problem(NOW), len(scene)) == ('', 19_999)
@@ -322,48 +290,39 @@ def world(start_node, files):
 
 
 @pytest.fixture
-def clean(world, messages):
+def clean(world):
     """The node, emptied, and the maker of markers that name files."""
     world.trigger('clear')
 
-    def maker(number, name, at=(0, 0, 0), size=(1, 1, 1)):
-        message = messages.marker(number, at, size, type=MESH_RESOURCE)
-        message.mesh_resource = name
-        return message
-
-    return world, maker
+    return world, partial(marker, type=MESH_RESOURCE)
 
 
 def test_a_file_is_an_obstacle(clean, files):
     world, maker = clean
     name = f'file://{files}/meshes/a.stl'
-    world.markers(
-        maker(1, name, (20, 0, 0)), maker(2, 'package://robot/meshes/a.stl', (30, 0, 0), (2, 2, 2))
-    )
-    world.until(lambda: world.everything() == {'a/1', 'a/2'})
+    other = maker(2, (30, 0, 0), (2, 2, 2), mesh='package://robot/meshes/a.stl')
+    world.show(maker(1, (20, 0, 0), mesh=name), other)
     for x, side in ((20, 1.0), (30, 2.0)):  # the far face: x + y + z = 2 * side
-        (hit,) = world.plan('raycast', (x + 0.5, 0.5, 9), (x + 0.5, 0.5, 0.1)).poses
-        assert abs(hit.pose.position.z - (2 * side - 1)) < 1e-9
+        place = world.place('raycast', (x + 0.5, 0.5, 9), (x + 0.5, 0.5, 0.1))
+        assert abs(place[2] - (2 * side - 1)) < 1e-9
 
 
-def test_a_refused_file_keeps_the_obstacle_and_says_why(clean, files, messages):
+def test_a_refused_file_keeps_the_obstacle_and_says_why(clean, files):
     world, maker = clean
-    world.markers(maker(1, f'file://{files}/meshes/a.stl'))
-    world.until(lambda: world.everything() == {'a/1'})
-    world.markers(maker(1, f'file://{files}/meshes/cut.stl'), messages.marker(2, (9, 0, 0)))
-    world.until(lambda: world.everything() == {'a/1', 'a/2'})
+    world.show(maker(1, mesh=f'file://{files}/meshes/a.stl'))
+    world.markers(maker(1, mesh=f'file://{files}/meshes/cut.stl'), marker(2, (9, 0, 0)))
+    world.holds('a/1', 'a/2')
     reason = world.status('source markers').values['last reason']
     assert f'{files}/meshes'[:40] in reason
     assert reason.endswith('4 triangles has 284 bytes, not 283')
 
 
-def test_until_a_file_is_read_nothing_looks_free(clean, files, messages):
+def test_until_a_file_is_read_nothing_looks_free(clean, files):
     """A question is answered meanwhile, by an error."""
     world, maker = clean
     where = (0.5, 0.5, 9), (0.5, 0.5, -9)
-    world.markers(messages.marker(1, (-50, 0, 0)))
-    world.until(lambda: world.everything() == {'a/1'})
-    world.markers(maker(2, f'file://{files}/meshes/slow.obj'))
+    world.show(marker(1, (-50, 0, 0)))
+    world.markers(maker(2, mesh=f'file://{files}/meshes/slow.obj'))
     answers = []
     deadline = time.monotonic() + PATIENCE
     while answers[-1:] != ['a/2']:
@@ -378,11 +337,3 @@ def test_until_a_file_is_read_nothing_looks_free(clean, files, messages):
     assert loads.startswith(f"error: source 'markers' loads {named}")
     assert loads.endswith(': what it shows is unknown yet')
     assert last == 'a/2'
-
-
-def test_a_folder_that_is_not_there_ends_the_start(configure):
-    for path in ('/none', 'meshes', str(Path(__file__))):
-        with pytest.raises(
-            ConfigurationError, match=r"'mesh_paths': .* no absolute path of a fol"
-        ):
-            configure({'mesh_paths': [path]})

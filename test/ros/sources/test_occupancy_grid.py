@@ -4,10 +4,10 @@
 
 import math
 import tracemalloc
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from ros.messages import grid, write
 from ros.sources.generators import ended
 
 from bvh_ros.ros.sources import occupancy_grid
@@ -23,16 +23,12 @@ def boxes(message, **options):
     return ended(occupancy_grid.boxes(message, **options))
 
 
-def grid(cells, resolution=0.5, at=(0, 0, 0), turn=(0, 0, 0, 1)):
-    cells = np.asarray(cells, dtype=np.int8)
-    origin = SimpleNamespace(
-        position=SimpleNamespace(x=at[0], y=at[1], z=at[2]),
-        orientation=SimpleNamespace(x=turn[0], y=turn[1], z=turn[2], w=turn[3]),
-    )
-    info = SimpleNamespace(
-        width=cells.shape[1], height=cells.shape[0], resolution=resolution, origin=origin
-    )
-    return SimpleNamespace(info=info, data=cells.ravel())
+def placed(cells, at=(0, 0, 0), turn=(0, 0, 0, 1)):
+    """Cells of half a metre that begin somewhere."""
+    message = grid(cells, 0.5)
+    write(message.info.origin.position, at)
+    write(message.info.origin.orientation, turn)
+    return message
 
 
 def painted(rectangles, shape):
@@ -67,7 +63,7 @@ def test_bands_are_joined(monkeypatch):
 
 def test_what_is_only_announced_costs_nothing():
     for shape in ((0, 2**32 - 1), (2**32 - 1, 0)):
-        message = grid(np.zeros((1, 0)))
+        message = placed(np.zeros((1, 0)))
         message.info.width, message.info.height = shape
         tracemalloc.start()
         assert len(boxes(message, **OPTIONS).kind) == 0
@@ -100,15 +96,17 @@ def test_rows_apart_are_not_merged():
 
 def test_values_that_are_occupied():
     cells = [[0, 64, 65, 100, 127, -1, -2]]
-    assert boxes(grid(cells), **OPTIONS).size[:, 0].tolist() == [1.5]
-    both = boxes(grid(cells), **{**OPTIONS, 'unknown_occupied': True})
+    assert boxes(placed(cells), **OPTIONS).size[:, 0].tolist() == [1.5]
+    both = boxes(placed(cells), **{**OPTIONS, 'unknown_occupied': True})
     assert both.size[:, 0].tolist() == [2.5]
 
 
 def test_boxes_lie_along_the_yaw_of_the_origin():
     yaw = math.radians(90)
     turn = (0, 0, math.sin(yaw / 2), math.cos(yaw / 2))
-    shapes = boxes(grid([[0, 100, 100]], at=(10, 20, 3), turn=turn), **{**OPTIONS, 'z_min': -1.0})
+    shapes = boxes(
+        placed([[0, 100, 100]], at=(10, 20, 3), turn=turn), **{**OPTIONS, 'z_min': -1.0}
+    )
     # x from 0.5 to 1.5 and y from 0 to 0.5 in the grid; x of the grid is y of the world.
     assert np.allclose(shapes.position, [[10 - 0.25, 20 + 1.0, 3 + 0.5]])
     assert np.allclose(shapes.size, [[1.0, 0.5, 3.0]])
@@ -116,7 +114,7 @@ def test_boxes_lie_along_the_yaw_of_the_origin():
 
 
 def lying(**values):
-    message = grid([[0, 100], [100, 0]])
+    message = placed([[0, 100], [100, 0]])
     for name, value in values.items():
         setattr(message.info if hasattr(message.info, name) else message, name, value)
     return message
@@ -131,9 +129,9 @@ def lying(**values):
         (lying(resolution=-0.1), 'resolution'),
         (lying(resolution=math.nan), 'resolution'),
         (lying(resolution=math.inf), 'resolution'),
-        (grid([[100]], at=(math.nan, 0, 0)), 'not finite'),
-        (grid([[100]], turn=(0, 0, math.inf, 1)), 'not finite'),
-        (grid([[100]], turn=(0.1, 0, 0, 1)), 'tilted'),
+        (placed([[100]], at=(math.nan, 0, 0)), 'not finite'),
+        (placed([[100]], turn=(0, 0, math.inf, 1)), 'not finite'),
+        (placed([[100]], turn=(0.1, 0, 0, 1)), 'tilted'),
     ],
 )
 def test_a_grid_that_contradicts_itself_is_refused(message, reason):

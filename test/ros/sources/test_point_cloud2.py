@@ -3,13 +3,17 @@
 """Clouds of every layout, and clouds that lie."""
 
 import math
+from functools import partial
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from ros.clouds import field, plain_cloud
+from ros.clouds import cloud, field
 
+from bvh_ros.ros.conversions.query_clouds import Boxes, Points, QueryCloud, Rays
 from bvh_ros.ros.sources import point_cloud2
+
+plain = partial(cloud, kind='f4')
 
 
 def boxes_of(message, *, voxel):
@@ -35,7 +39,7 @@ XYZ = {'x': [1, 2, 3, 4, 5, 6], 'y': [-1, -2, -3, -4, -5, -6], 'z': [7, 8, 9, 10
 @pytest.mark.parametrize('big', [False, True])
 @pytest.mark.parametrize(('padding', 'row_padding', 'height'), [(0, 0, 1), (3, 0, 2), (5, 11, 3)])
 def test_every_layout(kind, big, padding, row_padding, height):
-    message = plain_cloud(
+    message = plain(
         XYZ, kind=kind, big=big, padding=padding, row_padding=row_padding, height=height
     )
     boxes = boxes_of(message, voxel=0.25)
@@ -49,7 +53,7 @@ def test_every_layout(kind, big, padding, row_padding, height):
 def test_sizes_and_orientations_of_mixed_types():
     sizes = {'sx': [1, 2], 'sy': [3, 4], 'sz': [5, 6]}
     turns = {'qx': [0, 1], 'qy': [0, 0], 'qz': [1, 0], 'qw': [0, 0]}
-    message = plain_cloud(
+    message = plain(
         {'x': [0, 1], 'y': [0, 1], 'z': [0, 1], **sizes, **turns},
         kinds={'x': 'f8', 'sx': 'u1', 'sy': 'i2', 'qz': 'i1'},
     )
@@ -59,7 +63,7 @@ def test_sizes_and_orientations_of_mixed_types():
 
 
 def test_nan_points_are_skipped_and_counted():
-    message = plain_cloud({'x': [1, math.nan, 3], 'y': [1, 1, 1], 'z': [1, 1, math.nan]})
+    message = plain({'x': [1, math.nan, 3], 'y': [1, 1, 1], 'z': [1, 1, math.nan]})
     boxes = boxes_of(message, voxel=0.1)
     assert boxes.skipped == 2
     assert boxes.numbers.tolist() == [0]  # rows keep their numbers
@@ -68,7 +72,7 @@ def test_nan_points_are_skipped_and_counted():
 def test_ids_update_and_delete():
     sizes = {'sx': [1, math.nan, 1], 'sy': [1, 1, 1], 'sz': [1, 1, 1]}
     columns = {'x': [0, math.nan, 2], 'y': [0, 0, 0], 'z': [0, 0, 0], **sizes, 'id': [7, 8, 9]}
-    boxes = boxes_of(plain_cloud(columns, kinds={'id': 'u4'}), voxel=0.1)
+    boxes = boxes_of(plain(columns, kinds={'id': 'u4'}), voxel=0.1)
     assert boxes.by_id
     assert boxes.numbers.tolist() == [7, 9]
     assert boxes.deleted.tolist() == [8]
@@ -78,7 +82,7 @@ def test_ids_update_and_delete():
 @pytest.mark.parametrize('kind', ['u1', 'i4', 'u4', 'f4', 'f8'])
 def test_the_last_of_equal_ids_counts(kind):
     columns = {'x': [0, 1, 2], 'y': [0, 0, 0], 'z': [0, 0, 0], 'id': [5, 6, 5]}
-    boxes = boxes_of(plain_cloud(columns, kinds={'id': kind}), voxel=0.1)
+    boxes = boxes_of(plain(columns, kinds={'id': kind}), voxel=0.1)
     assert boxes.numbers.tolist() == [6, 5]
     assert boxes.shapes.position[:, 0].tolist() == [1, 2]
     assert [refusal.row for refusal in boxes.refusals] == [0]
@@ -87,14 +91,15 @@ def test_the_last_of_equal_ids_counts(kind):
 def test_ids_that_are_no_whole_numbers_are_refused():
     ids = [0.5, math.nan, math.inf, -3.0, 1e300]
     columns = {'x': range(5), 'y': range(5), 'z': range(5), 'id': ids}
-    boxes = boxes_of(plain_cloud(columns, kind='f8'), voxel=0.1)
+    boxes = boxes_of(plain(columns, kind='f8'), voxel=0.1)
     assert boxes.numbers.tolist() == [-3]
     assert [refusal.row for refusal in boxes.refusals] == [0, 1, 2, 4]
 
 
 def changed(**values):
-    message = plain_cloud(XYZ, height=2)
-    vars(message).update(values)
+    message = plain(XYZ, height=2)
+    for name, value in values.items():
+        setattr(message, name, value)
     return message
 
 
@@ -136,7 +141,7 @@ def test_an_empty_cloud_has_no_boxes(fields):
 
 def test_other_fields_do_not_matter():
     message = changed()
-    message.fields += [field('rgb', 10_000, 99, count=7), field('rgb', 0, 7)]
+    message.fields = [*message.fields, field('rgb', 10_000, 99, count=7), field('rgb', 0, 7)]
     assert len(boxes_of(message, voxel=0.1).numbers) == 6
 
 
@@ -144,9 +149,6 @@ def test_the_fields_of_questions():
     """Rays, boxes and points alike: answers are as wide as the widest field, and what a field
     has to be is said of the one that is not.
     """
-    pytest.importorskip('rclpy', reason='rclpy is not installed', exc_type=ImportError)
-    from bvh_ros.ros.conversions.query_clouds import Boxes, Points, QueryCloud, Rays
-
     for kind_of_rows, names, optional in (
         (Rays, ('x', 'y', 'z', 'dx', 'dy', 'dz'), 't_max'),
         (Boxes, ('x', 'y', 'z', 'sx', 'sy', 'sz'), 'tolerance'),
@@ -155,7 +157,7 @@ def test_the_fields_of_questions():
         columns = {name: [1.0] for name in (*names, optional)} | {'mask': [1]}
         for kinds, real in (({}, 'f4'), ({optional: 'f8'}, 'f8'), ({'x': 'f8'}, 'f8')):
             for mask in ('u1', 'u2', 'u4'):
-                asked = plain_cloud(columns, kinds={'mask': mask, **kinds})
+                asked = plain(columns, kinds={'mask': mask, **kinds})
                 questions = QueryCloud(asked, kind_of_rows)
                 assert questions.real == np.dtype(real)
                 assert len(questions.rows(0, 1).masks) == 1
@@ -164,4 +166,4 @@ def test_the_fields_of_questions():
             (optional, 'i2', f"'{optional}' is int16; it has to be float32 or float64"),
         ):
             with pytest.raises(ValueError, match=needed):
-                QueryCloud(plain_cloud(columns, kinds={'mask': 'u4', wrong: kind}), kind_of_rows)
+                QueryCloud(plain(columns, kinds={'mask': 'u4', wrong: kind}), kind_of_rows)

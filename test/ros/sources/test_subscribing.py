@@ -10,14 +10,12 @@ import random
 import time
 
 import pytest
-
-pytest.importorskip('rclpy', reason='rclpy is not installed', exc_type=ImportError)
-
 import rclpy
 from rclpy.duration import Duration
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rclpy.serialization import serialize_message
-from ros.patience import PATIENCE
+from ros.messages import marker
+from ros.patience import PATIENCE, spin_until
 from visualization_msgs.msg import Marker, MarkerArray
 
 from bvh_ros.ros.access import DEPTH, Delivery
@@ -165,31 +163,26 @@ def test_small_messages_are_taken_out_together():
 # ---- a subscription
 
 
-def test_what_is_left_of_a_publisher_that_is_gone_is_heard_once(ros, messages):
+def test_what_is_left_of_a_publisher_that_is_gone_is_heard_once(ros):
     """Kept messages come by two subscriptions; nobody is counted when they are taken."""
     node, executor = ros
     heard, topic = [], f'gone_{os.getpid()}'
     subscription = FollowingSubscription(
         node, MarkerArray, topic, heard.extend, Delivery(latched=True, raw=True)
     )
-    sent = [serialize_message(MarkerArray(markers=[messages.marker(i)])) for i in range(300)]
+    sent = [serialize_message(MarkerArray(markers=[marker(i)])) for i in range(300)]
     for first in (0, 100, 200):
         publisher = node.create_publisher(MarkerArray, topic, LATCHED_DEEP)
-        ends = time.monotonic() + PATIENCE
-        while publisher.get_subscription_count() < 2:
-            assert time.monotonic() < ends
-            executor.spin_once(0.01)
+        spin_until(executor, lambda: publisher.get_subscription_count() == 2)  # noqa: B023
         for message in sent[first : first + 100]:
             publisher.publish(message)
         assert publisher.wait_for_all_acked(Duration(seconds=PATIENCE))
         node.destroy_publisher(publisher)
+        ends = time.monotonic() + PATIENCE
         while subscription.publishers():
             assert time.monotonic() < ends
             time.sleep(0.01)
-    ends = time.monotonic() + PATIENCE
-    while len(heard) < len(sent):
-        assert time.monotonic() < ends
-        executor.spin_once(0.05)
+    spin_until(executor, lambda: len(heard) >= len(sent))
     for _ in range(10):  # and none comes twice
         executor.spin_once(0.05)
     assert heard == sent
@@ -206,8 +199,7 @@ def test_a_burst_costs_few_rounds_of_the_executor(ros):
         node, MarkerArray, topic, heard.extend, Delivery(raw=True)
     )
     publisher = node.create_publisher(MarkerArray, topic, DEEP)
-    while not publisher.get_subscription_count():
-        executor.spin_once(0.01)
+    spin_until(executor, publisher.get_subscription_count)
     for burst in range(200):
         for _ in range(20):
             publisher.publish(MarkerArray())
@@ -239,13 +231,7 @@ def test_a_busy_topic_wakes_nobody_and_is_heard_by_who_asks(ros_context, monkeyp
         publisher.publish(sent[-1])
         assert publisher.wait_for_all_acked(Duration(seconds=PATIENCE))
 
-    def spin_until(condition):
-        ends = time.monotonic() + PATIENCE
-        while not condition():
-            assert time.monotonic() < ends
-            executor.spin_once(0.001)
-
-    spin_until(publisher.get_subscription_count)
+    spin_until(executor, publisher.get_subscription_count)
     for _ in range(3):
         ends = time.monotonic() + PATIENCE
         while not executor.resting:
@@ -257,9 +243,9 @@ def test_a_busy_topic_wakes_nobody_and_is_heard_by_who_asks(ros_context, monkeyp
         assert len(heard) == before
         subscription.catch_up()
         assert heard == sent
-        spin_until(lambda: not executor.resting)  # nothing comes any more
+        spin_until(executor, lambda: not executor.resting, pause=0.001)  # nothing comes any more
         publish()
-        spin_until(lambda: len(heard) == len(sent))
+        spin_until(executor, lambda: len(heard) == len(sent), pause=0.001)
         assert heard == sent
     subscription.destroy()
     executor.remove_node(node)

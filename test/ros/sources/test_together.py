@@ -4,19 +4,16 @@
 
 import math
 
-import pytest
+from geometry_msgs.msg import Point
 from hypothesis import given, settings
 from hypothesis import strategies as st
-
-pytest.importorskip('rclpy', reason='rclpy is not installed', exc_type=ImportError)
-
-import rclpy
-from geometry_msgs.msg import Point
 from rclpy.qos import QoSProfile
 from rclpy.serialization import serialize_message
+from ros.messages import marker, write
+from ros.sources.changes import source_of
 from visualization_msgs.msg import Marker, MarkerArray
 
-from bvh_ros.ros.access import DEPTH, Frames, SourceSettings, create_source
+from bvh_ros.ros.access import DEPTH, Frames
 from bvh_ros.scene import NodeScene
 
 CUBE, SPHERE, CUBE_LIST, TRIANGLE_LIST, UNKNOWN = 1, 2, 6, 11, 99
@@ -33,8 +30,7 @@ def markers(draw):
     marker.header.frame_id = draw(st.sampled_from(['map', 'map', 'map', 'mars']))
     marker.pose.position.x = draw(st.sampled_from([0.0, 1.0, 2.0, math.nan]))
     marker.pose.orientation.w = 1.0
-    size = draw(st.sampled_from([1.0, 0.5, 2.0, -1.0]))
-    marker.scale.x = marker.scale.y = marker.scale.z = size
+    write(marker.scale, [draw(st.sampled_from([1.0, 0.5, 2.0, -1.0]))] * 3)
     corners = [Point(x=1.0 * k, y=1.0 * (k == 1), z=1.0 * (k == 2)) for k in range(3)]
     marker.points = draw(st.sampled_from([[], corners[:1], corners, [Point(x=math.nan)]]))
     return marker
@@ -54,20 +50,11 @@ def standing(source):
     return {it.name: (it.kind, *it.position, *it.orientation, *it.size) for it in held}
 
 
-@pytest.fixture(scope='module')
-def node(ros_context):
-    found = rclpy.create_node('together')
-    yield found
-    found.destroy_node()
-
-
 @settings(max_examples=100, deadline=None)
 @given(st.lists(st.lists(serialised, min_size=1, max_size=6), max_size=4))
-def test_several_messages_at_once_are_as_good_as_one_by_one(node, groups):
-    options = {'predict': 'none', 'meshes': 'convex'}
-    told = SourceSettings('s', 'MarkerArray', 't', '', False, 0.0, options)
-    frames = Frames('map')
-    alone, joined = (create_source(node, told, NodeScene(), frames) for _ in range(2))
+def test_several_messages_at_once_are_as_good_as_one_by_one(groups):
+    into_node = Frames('map').into_node
+    alone, joined = (source_of(NodeScene(), into_node) for _ in range(2))
     for group in groups:
         for message in group:
             alone.receive([message])
@@ -79,11 +66,11 @@ def test_several_messages_at_once_are_as_good_as_one_by_one(node, groups):
     assert joined.messages == alone.messages
 
 
-def test_what_came_before_a_clear_goes(world, messages, ros):
+def test_what_came_before_a_clear_goes(world, ros):
     node, _ = ros
     topic = f'{world.namespace}/bvh/obstacles'
     publisher = node.create_publisher(MarkerArray, topic, QoSProfile(depth=DEPTH))
-    first = MarkerArray(markers=[messages.marker(0, (0, 0, 0))])
+    first = MarkerArray(markers=[marker(0, (0, 0, 0))])
 
     def is_heard():
         publisher.publish(first)  # again: before both ends have found each other it is lost
@@ -92,7 +79,7 @@ def test_what_came_before_a_clear_goes(world, messages, ros):
     world.until(is_heard)
     for turn in range(20):
         for k in range(40):
-            publisher.publish(MarkerArray(markers=[messages.marker(k, (k, turn, 0))]))
+            publisher.publish(MarkerArray(markers=[marker(k, (k, turn, 0))]))
         world.trigger('clear')  # the same thread sends it, the same one there receives it
         assert world.everything() == set()
     node.destroy_publisher(publisher)

@@ -7,15 +7,11 @@ import threading
 
 import numpy as np
 import pytest
-
-pytest.importorskip('rclpy', reason='rclpy is not installed', exc_type=ImportError)
-
-from rclpy.node import Node
-from rclpy.parameter import Parameter
 from rclpy.serialization import serialize_message
+from ros.messages import cloud, marker
+from ros.sources.generators import ended
 from visualization_msgs.msg import MarkerArray
 
-from bvh_ros.ros.server import BvhServer
 from bvh_ros.scene import NodeScene, Numbered, Scene, Shapes, slicing
 
 PARAMETERS = {
@@ -32,15 +28,10 @@ BELOW = (-2.0, -2.0, -2.0), (-1.0, -1.0, -1.0)
 
 
 @pytest.fixture
-def server(ros, monkeypatch):
+def server(configure, monkeypatch):
     """A server that counts as large what has some hundred rows."""
     monkeypatch.setattr(slicing, 'AT_ONCE', 300)
-    overrides = [Parameter(name, value=value) for name, value in PARAMETERS.items()]
-    node = Node('turns', parameter_overrides=overrides)
-    server = BvhServer(node)
-    yield server
-    server.destroy()
-    node.destroy_node()
+    return configure(PARAMETERS)
 
 
 @pytest.fixture
@@ -58,10 +49,15 @@ def rows_in_main(monkeypatch):
     return rows
 
 
-def cloud(messages, count, height):
+def lattice(count, height):
     at = np.arange(float(count))
     columns = {'x': at % 50, 'y': at // 50, 'z': np.full(count, float(height))}
-    return messages.cloud(columns | dict.fromkeys(('vx', 'vy', 'vz'), np.zeros(count)))
+    return cloud(columns | dict.fromkeys(('vx', 'vy', 'vz'), np.zeros(count)))
+
+
+def applying(server, name, count, height=0):
+    """The steps of applying a cloud."""
+    return source(server, name).applying([serialize_message(lattice(count, height))], 1)
 
 
 def source(server, name):
@@ -74,13 +70,13 @@ def is_there(scene, height):
 
 @pytest.mark.parametrize('name', ['given', 'followed'])
 def test_a_large_cloud_is_applied_by_a_helper_and_the_old_one_is_visible(
-    server, messages, rows_in_main, name
+    server, rows_in_main, name
 ):
-    world, of = server.world, source(server, name)
+    world = server.world
     for height in (0, 10, 20):
         before = len(world.scene)
-        work, pauses = of.applying([serialize_message(cloud(messages, 1000, height))], 1), 0
-        for _ in work:
+        pauses = 0
+        for _ in applying(server, name, 1000, height):
             pauses += 1
             assert len(world.scene) == before
             assert is_there(world.scene, height - 10) == (height > 0)
@@ -94,11 +90,10 @@ def test_a_large_cloud_is_applied_by_a_helper_and_the_old_one_is_visible(
     world.scene.validate()
 
 
-def test_a_few_rows_of_a_large_scene_are_applied_in_small_slices(server, messages, rows_in_main):
-    for _ in source(server, 'given').applying([serialize_message(cloud(messages, 9000, 0))], 1):
-        pass
+def test_a_few_rows_of_a_large_scene_are_applied_in_small_slices(server, rows_in_main):
+    ended(applying(server, 'given', 9000))
     assert rows_in_main == []
-    markers = [messages.marker(k, (k, 0, 50)) for k in range(1000)]
+    markers = [marker(k, (k, 0, 50)) for k in range(1000)]
     message = serialize_message(MarkerArray(markers=markers))
     pauses = sum(1 for _ in source(server, 'markers').applying([message], 2))
     assert pauses >= 1000 // slicing.SLICE
@@ -107,12 +102,12 @@ def test_a_few_rows_of_a_large_scene_are_applied_in_small_slices(server, message
     assert len(server.world.scene) == 10_000
 
 
-def test_other_sources_wait_for_a_large_change_and_then_apply_theirs(server, messages):
+def test_other_sources_wait_for_a_large_change_and_then_apply_theirs(server):
     world, large, small = server.world, source(server, 'given'), source(server, 'markers')
-    work = large.applying([serialize_message(cloud(messages, 1000, 0))], 1)
+    work = applying(server, 'given', 1000)
     next(work)
     assert world.changes.owner is large
-    small.receive([serialize_message(MarkerArray(markers=[messages.marker(0, (0, 0, 50))]))])
+    small.receive([serialize_message(MarkerArray(markers=[marker(0, (0, 0, 50))]))])
     assert len(world.scene) == 0
     for _ in work:
         assert not is_there(world.scene, 50)
@@ -121,40 +116,38 @@ def test_other_sources_wait_for_a_large_change_and_then_apply_theirs(server, mes
     assert is_there(world.scene, 50)
 
 
-def test_a_newer_cloud_replaces_those_that_wait(server, messages):
+def test_a_newer_cloud_replaces_those_that_wait(server):
     of = source(server, 'given')
     for height in (0, 10, 20, 30):
-        of.receive([serialize_message(cloud(messages, 1000, height))])
+        of.receive([serialize_message(lattice(1000, height))])
     of.finish()
     assert [is_there(server.world.scene, height) for height in (0, 10, 20, 30)] == [False] * 3 + [
         True
     ]
 
 
-def test_a_change_whose_message_is_dropped_ends_before_the_next(server, messages):
-    of = source(server, 'given')
-    work = of.applying([serialize_message(cloud(messages, 1000, 0))], 1)
+def test_a_change_whose_message_is_dropped_ends_before_the_next(server):
+    work = applying(server, 'given', 1000)
     next(work)
-    assert server.world.changes.owner is of
+    assert server.world.changes.owner is source(server, 'given')
     work.close()
     assert server.world.changes.owner is None
     assert not server.world.scene.interrupted
     server.world.scene.validate()
 
 
-def test_nothing_is_removed_while_the_scene_is_copied(server, messages):
+def test_nothing_is_removed_while_the_scene_is_copied(server):
     world = server.world
     scene = world.scene
     source(server, 'markers').apply_now(
-        serialize_message(MarkerArray(markers=[messages.marker(0, lifetime=1)])), 0
+        serialize_message(MarkerArray(markers=[marker(0, lifetime=1)])), 0
     )
-    work = source(server, 'given').applying([serialize_message(cloud(messages, 1000, 9))], 1)
+    work = applying(server, 'given', 1000, 9)
     next(work)
     if world.changes.copying:
         assert world.expire(10**12) is False
         assert len(scene) == 1
-    for _ in work:
-        pass
+    ended(work)
     world.expire(10**12)
     assert len(world.scene) == 1000
 
@@ -181,8 +174,7 @@ def test_a_piece_of_a_batch_takes_a_turn_whatever_a_row_takes(monkeypatch, row):
         clock.now += row * (piece.stop - piece.start)
 
     pace = batches.Pace()
-    for _ in pace.answer('rays', 50_000, answer):
-        pass
+    ended(pace.answer('rays', 50_000, answer))
     assert [pieces[0].start, pieces[-1].stop] == [0, 50_000]
     assert all(a.stop == b.start for a, b in itertools.pairwise(pieces))
     sizes = [piece.stop - piece.start for piece in pieces]
@@ -240,12 +232,11 @@ def test_a_scene_is_prepared_again_where_others_than_now_were_asked_for():
     assert scene.is_prepared(at, at)
 
 
-def test_a_large_tree_is_built_anew_by_a_helper_and_a_copy_answers(server, messages, monkeypatch):
+def test_a_large_tree_is_built_anew_by_a_helper_and_a_copy_answers(server, monkeypatch):
     from bvh_ros.ros.parts import services
 
     monkeypatch.setattr(services, 'FEW', 300)
-    for _ in source(server, 'given').applying([serialize_message(cloud(messages, 1000, 0))], 1):
-        pass
+    ended(applying(server, 'given', 1000))
     threads = []
     rebuild = Scene.rebuild
     monkeypatch.setattr(

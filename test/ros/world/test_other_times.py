@@ -7,16 +7,18 @@ import time
 
 import numpy as np
 import pytest
-from builtin_interfaces.msg import Time
 from ros.clouds import table
-from ros.patience import PATIENCE
+from ros.messages import SECOND, cloud, get_plan, marker, stamp
+from ros.patience import PATIENCE, once_compiled
+from ros.simulation import REMAP, Simulation
+from sensor_msgs.msg import PointCloud2
+from visualization_msgs.msg import MarkerArray
 
-pytest.importorskip('rclpy', reason='rclpy is not installed', exc_type=ImportError)
+from bvh_ros.client import FREE, UNANSWERED, BvhError
+from bvh_ros.scene import NodeScene, Shapes
 
 pytestmark = pytest.mark.slow
 
-SECOND = 1_000_000_000
-FREE, UNANSWERED = 0xFFFFFFFF, 0xFFFFFFFE
 SOURCES = {
     'sources': ['tracks', 'people'],
     'tracks': {'type': 'PointCloud2', 'topic': 'tracks', 'predict': 'given', 'voxel': 1.0},
@@ -44,20 +46,11 @@ def clean(moving):
     return moving
 
 
-def stamp(ns):
-    return Time(sec=ns // SECOND, nanosec=ns % SECOND)
-
-
 def ask(world, name, start, goal, at=0, until=0, **given):
     """Poses of a reply to a request with these stamps, ns."""
-    request = ask.messages.get_plan(start, goal, **given)
+    request = get_plan(start, goal, **given)
     request.start.header.stamp, request.goal.header.stamp = stamp(at), stamp(until)
     return world.call(name, request).plan.poses
-
-
-@pytest.fixture(autouse=True)
-def makers(messages):
-    ask.messages = messages
 
 
 def errors(world, *given, **more):
@@ -74,16 +67,20 @@ def when(pose):
 def tell(world, rows, at, frame='', speeds=('vx', 'vy', 'vz'), ids=True):
     """Publish boxes (id, x, y, z, vx, vy, vz), and wait until the node has them."""
     names = (*(['id'] if ids else []), 'x', 'y', 'z', *speeds)
-    cloud = ask.messages.cloud(dict(zip(names, np.array(rows, float).T, strict=True)))
-    cloud.header.stamp, cloud.header.frame_id = stamp(at), frame
-    count = heard(world, 'tracks')
-    world.publish('tracks', cloud)
-    world.until(lambda: heard(world, 'tracks') > count)
+    told = cloud(dict(zip(names, np.array(rows, float).T, strict=True)))
+    told.header.stamp, told.header.frame_id = stamp(at), frame
+    publish(world, 'tracks', told)
+
+
+def publish(world, source, message):
+    """Publish, and wait until the node has it."""
+    count = heard(world, source)
+    world.publish(source, message)
+    world.until(lambda: heard(world, source) > count)
 
 
 def heard(world, source):
-    values = world.status(f'source {source}').values
-    return int(values['messages'])
+    return int(world.status(f'source {source}').values['messages'])
 
 
 def test_given_velocities_at_a_time_and_while_it_passes(clean):
@@ -158,13 +155,9 @@ def test_what_clouds_are_refused_and_frames(clean):
     # Nor is it believed that one is gone: without a size.
     columns = dict.fromkeys(('x', 'y', 'z', 'vx', 'vy', 'vz'), np.zeros(1))
     sizes = dict.fromkeys(('sx', 'sy', 'sz'), np.full(1, nan))
-    gone, count = (
-        ask.messages.cloud({'id': np.ones(1), **columns, **sizes}),
-        heard(clean, 'tracks'),
-    )
+    gone = cloud({'id': np.ones(1), **columns, **sizes})
     gone.header.stamp = stamp(now + 3600 * SECOND)
-    clean.publish('tracks', gone)
-    clean.until(lambda: heard(clean, 'tracks') > count)
+    publish(clean, 'tracks', gone)
     assert ask(clean, 'raycast', (5, 0, 0), (30, 0, 0))[0].pose.position.x == 9.5
     gone.header.stamp = stamp(now)
     clean.publish('tracks', gone)
@@ -186,14 +179,10 @@ def test_what_clouds_are_refused_and_frames(clean):
 
 
 def markers(world, places, at):
-    array = [ask.messages.marker(k, place, ns='p') for k, place in places.items()]
-    for marker in array:
-        marker.header.stamp = stamp(at)
-    from visualization_msgs.msg import MarkerArray
-
-    count = heard(world, 'people')
-    world.publish('people', MarkerArray(markers=array))
-    world.until(lambda: heard(world, 'people') > count)
+    array = [marker(k, place, ns='p') for k, place in places.items()]
+    for one in array:
+        one.header.stamp = stamp(at)
+    publish(world, 'people', MarkerArray(markers=array))
 
 
 def test_velocities_of_successive_updates(clean):
@@ -210,13 +199,7 @@ def test_velocities_of_successive_updates(clean):
     assert met.pose.position.x == 1.0
 
 
-def rays(columns):
-    return ask.messages.cloud(columns)
-
-
 def test_rays_with_times_meet_as_brute_force_says(clean):
-    from sensor_msgs.msg import PointCloud2
-
     rng, count, now = np.random.default_rng(5), 400, time.time_ns()
     places, speeds = rng.uniform(-9, 9, (40, 3)), rng.uniform(-4, 4, (40, 3))
     tell(clean, np.column_stack((np.arange(40), places, speeds)), now)
@@ -230,22 +213,18 @@ def test_rays_with_times_meet_as_brute_force_says(clean):
     bad = [5, 6, 7, 8, 9, 10, 11]
     columns = dict(zip(('x', 'y', 'z'), origins.T, strict=True))
     columns |= dict(zip(('dx', 'dy', 'dz'), ways.T, strict=True))
-    cloud = rays(columns | {'t_max': limits, 't0': since, 'duration': durations})
-    cloud.header.stamp = stamp(now)
-    got = []
-    subscription = clean.node.create_subscription(
-        PointCloud2, f'{clean.name}/ray_hits', got.append, 10
-    )
+    asked = cloud(columns | {'t_max': limits, 't0': since, 'duration': durations})
+    asked.header.stamp = stamp(now)
+    got = clean.heard(PointCloud2, 'ray_hits')
     clean.until(lambda: clean.node.count_publishers(f'{clean.name}/ray_hits'))
 
     def answered():
-        clean.publish('bvh/rays', cloud)
+        clean.publish('bvh/rays', asked)
         clean.executor.spin_once(0.5)
         return got
 
     clean.until(answered)
-    clean.node.destroy_subscription(subscription)
-    assert got[0].header == cloud.header
+    assert got[0].header == asked.header
     rows = table(got[0])
     assert np.flatnonzero(rows['obstacle'] == UNANSWERED).tolist() == bad
     assert np.isnan(rows['t'][bad]).all()
@@ -268,10 +247,8 @@ def gaps(points, places):
     return np.linalg.norm(np.maximum(np.abs(points[:, None] - places) - 0.5, 0.0), axis=2)
 
 
-def test_points_boxes_and_paths_are_about_their_times(clean):
-    from bvh_ros.client import BvhClient, BvhError
-
-    client = BvhClient(clean.node, clean.name, timeout=PATIENCE)
+def test_points_boxes_and_paths_are_about_their_times(clean, client_of):
+    client = client_of(clean)
     rng, count, now = np.random.default_rng(6), 60, time.time_ns()
     places, speeds = rng.uniform(-9, 9, (30, 3)), rng.uniform(-4, 4, (30, 3))
     tell(clean, np.column_stack((np.arange(30), places, speeds)), now)
@@ -282,27 +259,15 @@ def test_points_boxes_and_paths_are_about_their_times(clean):
     since = ((at - now) / SECOND)[:, None, None]
     apart = gaps(points, places + speeds * since)
 
-    def ready(ask):
-        """What is compiled once somebody asks is there."""
-
-        def answers():
-            try:
-                return ask()
-            except BvhError:
-                return None
-
-        clean.until_compiled(lambda: answers() is not None)
-        return ask()
-
-    near = ready(lambda: client.nearest_many(points, at=at))
+    near = once_compiled(lambda: client.nearest_many(points, at=at))
     assert np.flatnonzero(near.obstacles == UNANSWERED).tolist() == bad
     np.testing.assert_allclose(near.distances[good], apart.min(axis=1)[good], atol=1e-6)
-    met = ready(lambda: client.overlap_many(points, [0.0] * 3, tolerance=1.5, at=at))
+    met = once_compiled(lambda: client.overlap_many(points, [0.0] * 3, tolerance=1.5, at=at))
     assert np.flatnonzero(met.obstacles == UNANSWERED).tolist() == bad
     assert met.counts[good].tolist() == (apart <= 1.5).sum(axis=1)[good].tolist()
     at[5:9] = 0  # now, as it was told
     apart[5:9] = gaps(points[5:9], places[None])
-    told = ready(lambda: client.check_path(points, at=at))
+    told = once_compiled(lambda: client.check_path(points, at=at))
     assert np.flatnonzero(told.obstacles == UNANSWERED).tolist() == bad
     apart = apart.min(axis=1) - 0.5
     outside = good[apart[good] > 0.0]
@@ -321,10 +286,8 @@ def test_points_boxes_and_paths_are_about_their_times(clean):
         client.check_path(points[:2], at=-1)
 
 
-def test_the_client_asks_about_times(clean):
-    from bvh_ros.client import BvhClient, BvhError
-
-    client = BvhClient(clean.node, clean.name, timeout=PATIENCE)
+def test_the_client_asks_about_times(clean, client_of):
+    client = client_of(clean)
     client.wait_until_ready(PATIENCE)
     now = time.time_ns()
     tell(clean, [[1, 10, 0, 0, -5, 0, 0]], now)
@@ -335,9 +298,8 @@ def test_the_client_asks_about_times(clean):
     assert (hit.stamp - now) / SECOND == pytest.approx(9.5 / 15, abs=1e-6)
     assert client.raycast_all(*ends, at=now, until=now + 2 * SECOND) == [hit]
     assert client.overlap((4, -1, -1), (6, 1, 1), at=now + SECOND)[0].name == 'tracks#1'
-    point = (0, 0, 0), (0, 0, 0)
-    clean.until_compiled(lambda: not errors(clean, 'nearest', *point, at=now + SECOND))
-    assert client.nearest((0, 0, 0), at=now + SECOND)[0].point[0] == pytest.approx(4.5)
+    near = once_compiled(lambda: client.nearest((0, 0, 0), at=now + SECOND))
+    assert near[0].point[0] == pytest.approx(4.5)
     with pytest.raises(BvhError, match='max_prediction'):
         client.raycast(*ends, at=now + 3 * SECOND)
     with pytest.raises(BvhError, match='start has none'):
@@ -362,81 +324,58 @@ def test_the_client_asks_about_times(clean):
     assert client.raycast_many_async(starts, ways, 1.0, at=now) is not None
 
 
-def test_a_node_of_which_no_source_predicts_does_not_look_at_stamps(start_node, messages):
+def test_a_node_of_which_no_source_predicts_does_not_look_at_stamps(start_node, client_of):
     world = start_node({'markers': {'predict': 'none'}})
-    world.markers(messages.marker(1, (5, 0, 0)))
+    world.show(marker(1, (5, 0, 0)))
     way = (0, 0, 0), (9, 0, 0)
-    world.until(lambda: world.hits('raycast', *way))
     for given in ({'at': 1}, {'until': 1}, {'at': 5, 'until': 1}, {'at': time.time_ns()}):
         for name in ('raycast', 'raycast_all', 'overlap'):
             (pose,) = ask(world, name, *way, **given)
             assert pose.header.frame_id == 'a/1'
             assert when(pose) > SECOND
-    from bvh_ros.client import BvhClient, BvhError
-
-    client = BvhClient(world.node, world.name, timeout=PATIENCE)
+    client = client_of(world)
     client.wait_until_ready(PATIENCE)
     with pytest.raises(BvhError, match='cannot answer'):
         client.raycast_many(np.zeros((1, 3)), np.ones((1, 3)), at=time.time_ns())
     assert 'other times than now' in world.status('world').values['off']
 
 
-def test_which_parameters_are_refused(configure):
-    from bvh_ros.ros.access import ConfigurationError
-
-    for given in ({'history': -1.0}, {'markers.predict': 'given'}, {'max_prediction': -1.0}):
-        with pytest.raises(ConfigurationError, match=next(iter(given))):
-            configure(given)
+def test_times_are_on_where_a_source_predicts(configure):
     server = configure({'markers.predict': 'constant_velocity', 'markers.max_speed': 3})
     assert server.world.times is not None
     assert configure({}).world.times is None
 
 
 def test_a_clock_that_is_set_back(start_node):
-    from rosgraph_msgs.msg import Clock
-
-    world = start_node({**SOURCES, 'use_sim_time': True, 'history': 2.0}, remap='/clock:=clock')
+    world = start_node({**SOURCES, 'use_sim_time': True, 'history': 2.0}, remap=REMAP)
     world.until_compiled(lambda: not errors(world, 'raycast_all', (0, 0, 0), (1, 0, 0)))
-    clock = world.node.create_publisher(Clock, f'{world.namespace}/clock', 1)
+    clock = Simulation(world)
     way = (-99, 0, 0), (99, 0, 0)
 
-    def set_to(seconds):
-        message = Clock(clock=stamp(round(seconds * SECOND)))
-
-        def arrived():  # error replies have the node's time
-            clock.publish(message)
-            header = world.plan('raycast', (math.nan, 0, 0), (1, 0, 0)).header
-            return header.stamp == message.clock
-
-        world.until(arrived)
-
-    set_to(100.0)
+    clock.at(100.0)
     tell(world, [[1, 0, 0, 0, 4, 0, 0]], 100 * SECOND)
-    set_to(101.0)
+    clock.at(101.0)
     tell(world, [[1, 4, 0, 0, 4, 0, 0]], 101 * SECOND)
     for at, place in ((100.5, 1.5), (101.0, 3.5), (102.0, 7.5)):
         (hit,) = ask(world, 'raycast', *way, at=round(at * SECOND))
         assert hit.pose.position.x == pytest.approx(place)
     tell(world, [[1, 9, 0, 0, 4, 0, 0]], 104 * SECOND)  # ahead of the clock
     assert ask(world, 'raycast', *way)[0].pose.position.x == 3.5
-    set_to(10.0)  # a simulation starts over: all stand until they are told again
+    clock.at(10.0)  # a simulation starts over: all stand until they are told again
     assert ask(world, 'raycast', *way)[0].pose.position.x == 3.5
     assert ask(world, 'raycast', *way, at=11 * SECOND)[0].pose.position.x == 3.5
     assert errors(world, 'raycast', *way, at=9 * SECOND)
     assert 'max_prediction' in errors(world, 'raycast', *way, at=101 * SECOND)
     tell(world, [[1, 0, 0, 0, 4, 0, 0]], 10 * SECOND)
     assert ask(world, 'raycast', *way, at=11 * SECOND)[0].pose.position.x == pytest.approx(3.5)
-    world.node.destroy_publisher(clock)
+    clock.destroy()
 
 
-def test_a_client_asks_old_data_to_the_nanosecond(clean):
-    from bvh_ros.client import BvhClient
-    from bvh_ros.scene import NodeScene, Shapes
-
+def test_a_client_asks_old_data_to_the_nanosecond(clean, client_of):
     then = time.time_ns() - 25 * 365 * 86_400 * SECOND  # 25 years before the client's clock
     speed, rays = [1.3, 0.0, 0.0], ([[0.0, 0.0, 0.0]], [[1.0, 0.0, 0.0]], 100.0)
     tell(clean, [[0, 5, 0, 0, *speed]], then)
-    scene, client = NodeScene(), BvhClient(clean.node, clean.name, timeout=PATIENCE)
+    scene, client = NodeScene(), client_of(clean)
     shapes = Shapes.boxes([[5, 0, 0]], [1, 1, 1])
     scene.update('tracks', ['0'], shapes, stamp=then, velocities=[speed])
     for later in (0, 123_456_789, 876_543_211):

@@ -6,23 +6,19 @@ import time
 
 import numpy as np
 import pytest
-from builtin_interfaces.msg import Time
+from ros.messages import SECOND, cloud, stamp
 from ros.patience import PATIENCE
 
-pytest.importorskip('rclpy', reason='rclpy is not installed', exc_type=ImportError)
-
-from bvh_ros.client import BvhClient, BvhError
+from bvh_ros.client import UNANSWERED, BvhError
 from bvh_ros.ros.world.known_times import KnownTimes, Span
 from bvh_ros.ros.world.large_changes import LargeChanges
 from bvh_ros.scene import NodeScene, Shapes
 
-SECOND = 1_000_000_000
 TICK = SECOND // 10
 NOW = 1_790_000_000 * SECOND
-UNANSWERED = 0xFFFFFFFE
 
 
-def told(times, scene, place, at, speed=None):
+def tell(times, scene, place, at, speed=None):
     """Tell where the only box is, at some tick."""
     box = Shapes.boxes([[place, 0, 0]], [1, 1, 1])
     speeds = None if speed is None else [[speed, 0, 0]]
@@ -47,7 +43,7 @@ def test_each_time_has_what_was_known_then():
     with pytest.raises(ValueError, match='nothing has been told'):
         times.require(Span(NOW), NOW)
     for tick in range(31):
-        told(times, scene, float(tick), tick, 10.0 if tick < 25 else 0.0)
+        tell(times, scene, float(tick), tick, 10.0 if tick < 25 else 0.0)
     # 1 m a tick, seen until tick 25; from then on it stands where it is told to be.
     wanted = {19.9: None, 20: 20, 20.5: 20.5, 24.9: 24.9, 25: 25, 25.5: 25, 26: 26, 29.5: 29}
     wanted |= {30: 30, 40: 30, 40.1: None}
@@ -56,14 +52,14 @@ def test_each_time_has_what_was_known_then():
     assert (np.diff(stamps) > 0).all()
     assert stamps[0] == NOW + 20 * TICK  # no more than is needed
     # Late data belong to what is known since the newest.
-    told(times, scene, 7.0, 28)
+    tell(times, scene, 7.0, 28)
     assert (np.diff(times.stamps()) > 0).all()
     assert place_at(times, 29) == 29
     assert place_at(times, 30) == 7
     times.forget()
     assert place_at(times, 29) is None
     assert place_at(times, 30) == 7
-    told(times, scene, 8.0, 30)
+    tell(times, scene, 8.0, 30)
     assert place_at(times, 30) == 8
 
 
@@ -105,29 +101,18 @@ def test_a_copy_is_the_same_and_goes_its_own_way():
     assert (len(scene), len(other)) == (0, 50)
 
 
-@pytest.fixture(scope='module')
-def keeping(start_node):
-    """A node that keeps the past, and predicts nothing."""
-    return start_node(
-        {
-            'sources': ['tracks'],
-            'tracks': {'type': 'PointCloud2', 'topic': 'tracks', 'voxel': 1.0},
-            'history': 5.0,
-        }
-    )
-
-
 @pytest.mark.slow
-def test_a_node_answers_about_its_past(keeping, messages):
-    world, now = keeping, time.time_ns()
-    client = BvhClient(world.node, world.name, timeout=PATIENCE)
+def test_a_node_answers_about_its_past(start_node, client_of):
+    tracks = {'type': 'PointCloud2', 'topic': 'tracks', 'voxel': 1.0}
+    # It keeps the past, and predicts nothing.
+    world = start_node({'sources': ['tracks'], 'tracks': tracks, 'history': 5.0})
+    now = time.time_ns()
+    client = client_of(world)
     client.wait_until_ready(PATIENCE)
-    world.trigger('clear')
     for tick in range(4):
-        cloud = messages.cloud({'x': [10.0 + tick], 'y': [0], 'z': [0]})
-        stamp = now + (tick - 4) * SECOND
-        cloud.header.stamp = Time(sec=stamp // SECOND, nanosec=stamp % SECOND)
-        world.publish('tracks', cloud)
+        told = cloud({'x': [10.0 + tick], 'y': [0], 'z': [0]})
+        told.header.stamp = stamp(now + (tick - 4) * SECOND)
+        world.publish('tracks', told)
         world.until(
             lambda x=9.5 + tick: (hit := client.raycast((0, 0), (99, 0))) and hit.point[0] == x
         )
@@ -155,7 +140,7 @@ def test_a_node_answers_about_its_past(keeping, messages):
 def test_a_time_that_is_not_known_is_named_to_the_nanosecond():
     scene = NodeScene(max_prediction=1.0)
     times = KnownTimes(LargeChanges(scene), 1.0, 1.5)
-    told(times, scene, 0.0, 0)
+    tell(times, scene, 0.0, 0)
     with pytest.raises(ValueError, match=r'1\.000000001 s after .* max_prediction \(1 s\)'):
         times.require(Span(NOW, NOW + SECOND + 1), NOW)
     with pytest.raises(ValueError, match=r'1\.500000001 s before .* history \(1\.5 s\)'):

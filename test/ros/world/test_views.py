@@ -3,17 +3,14 @@
 """Views: bits by patterns of names, and the same questions about a part of the world."""
 
 import fnmatch
-import re
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from ros.patience import PATIENCE
+from ros.messages import marker
 
-pytest.importorskip('rclpy', reason='rclpy is not installed', exc_type=ImportError)
-
-from bvh_ros.ros.access import ConfigurationError
+from bvh_ros.client import BvhTimeoutError
 from bvh_ros.ros.parameters import ViewSettings
 from bvh_ros.ros.world.views import Categoriser, Patterns, create_views
 from bvh_ros.scene import NodeScene, Numbered, Shapes
@@ -122,12 +119,12 @@ VIEWED = {
 
 
 @pytest.fixture(scope='module')
-def viewed(start_node, messages):
+def viewed(start_node):
     """Three boxes in a row: part of the arm, a person, a crate."""
     world = start_node(VIEWED)
     world.markers(
         *(
-            messages.marker(i, at=(x, 0, 0), ns=ns)
+            marker(i, at=(x, 0, 0), ns=ns)
             for i, (ns, x) in enumerate([('arm', 0), ('person', 3), ('crate', 6)])
         )
     )
@@ -190,32 +187,10 @@ def incomplete(start_node):
     return start_node({'markers.required': True, 'views': ['part']})
 
 
-@pytest.mark.parametrize(
-    ('parameters', 'complaint'),
-    [
-        ({'views': ['1st']}, "'1st' is not a name"),
-        ({'views': ['a/b']}, "'a/b' is not a name"),
-        ({'views': ['markers']}, "'markers' is the name of another parameter"),
-        ({'views': ['raycast']}, "'raycast' is the name of another parameter"),
-        ({'views': ['margin']}, "'margin' is the name of another parameter"),
-        ({'views': ['a', 'a']}, "'a' is there twice"),
-        ({'views': [f'v{i}' for i in range(32)]}, 'names 32 views; there can be 31'),
-        ({'views': ['a'], 'a.includes': ['x']}, "no parameter 'a.includes'; did you mean"),
-        ({'views': ['a'], 'a.include': 'x'}, "'a.include' must be a list of strings"),
-        ({'views': ['a' * 300]}, "(300 characters)' is not a name"),
-    ],
-)
-def test_names_that_cannot_be_used_are_refused_at_start(configure, parameters, complaint):
-    with pytest.raises(ConfigurationError, match=re.escape(complaint)):
-        configure(parameters)
-
-
-def test_a_client_of_a_view_learns_names_from_the_node(viewed, ros):
-    from bvh_ros.client import BvhClient, BvhTimeoutError
-
-    client = BvhClient(ros[0], f'{viewed.name}/arm', timeout=PATIENCE)
+def test_a_client_of_a_view_learns_names_from_the_node(viewed, client_of):
+    client = client_of(f'{viewed.name}/arm')
     hits = client.raycast_many([[-90.0, 0, 0]], [[1.0, 0, 0]])
     (name,) = client.names(hits.obstacles).values()
     assert name == client.raycast((-90, 0, 0), (1e6, 0, 0)).name
     with pytest.raises(BvhTimeoutError, match='nobody publishes the names'):
-        BvhClient(ros[0], '/nobody/bvh').names([1], timeout=0.1)
+        client_of('/nobody/bvh').names([1], timeout=0.1)
