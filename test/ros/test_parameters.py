@@ -245,8 +245,7 @@ def test_help_is_given():
 def test_wrong_arguments_of_the_others(arguments):
     module, *rest = arguments
     main = f'import sys; from {module} import main; sys.exit(main(sys.argv[1:]))'
-    ended = run_alone(main, *rest)
-    assert ended.returncode == 2, ended.stderr
+    ended = run_alone(main, *rest, ends=2)
     assert 'Traceback' not in ended.stderr
     assert rest[-2] in ended.stderr.splitlines()[-1]
 
