@@ -8,37 +8,10 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scene.inside import store_of
-from scene.reference import icosphere, scene_of
+from scene.reference import scene_of
 from scipy.spatial import ConvexHull
 
 from bvh_ros.scene import Mesh, Shapes
-
-
-def test_a_polygon_is_shared_and_kept_while_its_mesh_only_moves():
-    ball = icosphere(3)
-    tilted = np.array([(0.3, 0.1, 0.2, 0.93)] * 3)
-    meshes = [Mesh(ball), Mesh(ball), Mesh(ball * 2)]
-    scene = scene_of(Shapes.of_meshes(meshes, np.eye(3) * 9, tilted), planar=True)
-    store = store_of(scene).columns.meshes
-    assert len(store) == 2
-    before, hulls = store[0], store.hulls
-    moved = Shapes.of_meshes([Mesh(ball)], [(5, 2, 3)], tilted[:1])
-    assert scene.update('test', ['0'], moved, stamp=2) == []
-    assert store[0] is before
-    assert store.hulls is hulls
-    assert scene.raycast((5, -9, 0), (5, 9, 0)).t == pytest.approx(10 / 18, abs=1e-3)
-    turned = moved._replace(orientation=np.array([(0.0, 0.0, 0.5, 1.0)]) / 1.25**0.5)
-    assert scene.update('test', ['0'], turned, stamp=3) == []
-    assert len(store) == 3
-    assert scene.stats()['meshes'] == 3
-    scene.clear()
-    assert scene.stats()['meshes'] == 0
-    scene.update(
-        'test', ['box'], Shapes.boxes([(1, 2, 3)], (1, 1, 1), [(0, 0, 0.2, 0.98)]), stamp=4
-    )
-    assert scene.raycast((1, -9, 0), (1, 9, 0)).name == 'box'
-
 
 coordinates = st.integers(-8, 8)
 

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
-from scene.reference import random_shapes
+from scene.reference import changed, random_shapes
 
 from bvh_ros.scene import NO_NODE, Scene, Shapes
 
@@ -50,7 +50,7 @@ def shapes_of(world: World, rng: np.random.Generator, count: int = COUNT) -> Sha
     if not world.shaped:  # on whole numbers, so that hits tie
         places, sizes = rng.integers(-6, 7, (count, 3)), rng.integers(0, 4, (count, 3))
         shapes = Shapes.boxes(places * 1.0, sizes * 1.0)
-    return shapes._replace(position=shapes.position * world.scale, size=shapes.size * world.scale)
+    return changed(shapes, position=shapes.position * world.scale, size=shapes.size * world.scale)
 
 
 def put(scene: Scene, world: World, rows: np.ndarray, shapes: Shapes, rng: np.random.Generator):

@@ -13,10 +13,11 @@ from decimal import Decimal, localcontext
 from typing import NamedTuple
 
 import numpy as np
+from scene.reference import scene_of
 from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
-from bvh_ros.scene import Mesh, Scene, ShapeKind, Shapes
+from bvh_ros.scene import Mesh, ShapeKind, Shapes
 
 BOX, SPHERE, CYLINDER, CAPSULE, MESH = ShapeKind
 FEATURES = {
@@ -270,7 +271,7 @@ def contacts(count, rng, manners, gaps, offsets, kinds=tuple(FEATURES)):
     return made
 
 
-def scene_of(made, planar=False):
+def scene_with(made, planar=False):
     """Obstacles '0', '1', ...: two a contact."""
     bodies = [body for one in made for body in one.geometry_arrays]
     held = np.empty(len(bodies), object)
@@ -282,14 +283,12 @@ def scene_of(made, planar=False):
         np.array([body.mesh.size if body.mesh else 2 * body.half for body in bodies]),
         held,
     )
-    scene = Scene(planar=planar)
-    assert scene.update('test', [str(i) for i in range(len(bodies))], shapes, stamp=1) == []
-    return scene
+    return scene_of(shapes, planar)
 
 
 def answers(one, planar=False):
     """Whether the pair of a contact touches, and its clearance as seen from either side."""
-    scene = scene_of([one], planar)
+    scene = scene_with([one], planar)
     return bool(scene.overlap_pairs()), scene.clearance('0'), scene.clearance('1')
 
 
@@ -303,8 +302,7 @@ def shape_of(one, row):
 
 def touches_within(one, tolerance):
     """Whether the first solid of a contact touches the second one, grown by the tolerance."""
-    scene = Scene()
-    scene.update('test', ['it'], shape_of(one, 1), stamp=1)
+    scene = scene_of(shape_of(one, 1), names=['it'])
     return bool(scene.overlap_shape(shape_of(one, 0), tolerance=tolerance))
 
 

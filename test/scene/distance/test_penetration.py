@@ -9,7 +9,7 @@ from fractions import Fraction
 import numpy as np
 import pytest
 from scene.distance.contacts import rotation
-from scene.reference import bulging, geometry_arrays, hull_of, random_shapes, scene_of
+from scene.reference import bulging, changed, geometry_arrays, hull_of, random_shapes, scene_of
 from turns import unit_quaternions
 
 from bvh_ros.scene import Mesh, Scene, Shapes
@@ -19,8 +19,7 @@ ASIDE = [0, 0, math.sin(math.pi / 8), math.cos(math.pi / 8)]
 
 
 def shape(kind, size, place=(0, 0, 0), turn=(0, 0, 0, 1)):
-    rows = Shapes.boxes([place], size, [turn])
-    return rows._replace(kind=np.array([kind], np.uint8))
+    return Shapes([kind], [place], [turn], size)
 
 
 def depth(one, other, planar=False):
@@ -33,7 +32,7 @@ class Body:
     """A shape by how far it reaches; of a mesh `triangles` are in its frame."""
 
     def __init__(self, rows, triangles=None):
-        self.solid = geometry_arrays(rows._replace(mesh=None))[0]
+        self.solid = geometry_arrays(rows)[0]
         self.triangles = triangles
 
     def reach(self, normals):
@@ -289,16 +288,16 @@ def test_the_same_from_either_side_and_at_any_scale():
     for _ in range(60):
         rows = random_shapes(rng, 2, 0.5)
         place = np.round(rows.position * 2.0**30) * 2.0**-30
-        rows = rows._replace(position=place)
+        rows = changed(rows, position=place)
         one, other = rows.take([0]), rows.take([1])
         distance, point, other_point = depth(one, other)
         back = depth(other, one)
         assert back[0] == distance
         np.testing.assert_array_equal([back[2], back[1]], [point, other_point])
         for scale in (2.0**-700, 2.0**700):
-            larger = rows._replace(position=place * scale, size=rows.size * scale)
+            larger = changed(rows, position=place * scale, size=rows.size * scale)
             assert depth(larger.take([0]), larger.take([1]))[0] == distance * scale
-        far = rows._replace(position=place + 4096.0)
+        far = changed(rows, position=place + 4096.0)
         assert depth(far.take([0]), far.take([1]))[0] == pytest.approx(distance, abs=1e-12)
 
 
