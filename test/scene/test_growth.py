@@ -185,14 +185,6 @@ def test_who_begins_within_what_has_grown_is_there(planar, most):
     assert seen == {(True, 0.0), (True, 0.6), (False, 0.6)}
 
 
-def test_who_stands_among_who_moves_does_not_grow():
-    boxes, speeds = Shapes.boxes([[0, 4, 0], [0, 50, 0]], [1, 1, 1]), [[0, 0, 0], [1, 0, 0]]
-    scene = scene_of(boxes, stamp=NOW, velocities=speeds, uncertainty=3.0)
-    for at in (NOW, NOW + SECOND):
-        assert scene.overlap([-1, -1, -1], [1, 1, 1], at=at) == []
-        assert scene.overlap_many([[0, 0, 0]], [2, 2, 2], want='count', at=at) == [0]
-
-
 def test_what_does_not_grow_and_what_is_refused():
     for wrong in (-1.0, np.nan, np.inf):
         with pytest.raises(ValueError, match='uncertainty'):

@@ -99,23 +99,6 @@ def test_an_empty_tree_comes_back(ndim: int, tmp_path: Path) -> None:
         )
 
 
-def test_a_stale_handle_stays_stale_in_the_file(tmp_path: Path) -> None:
-    tree = DynamicBVH(2)
-    old = tree.insert([0, 0], [1, 1])
-    tree.remove(old)
-    back = through_file(tree, tmp_path)
-    assert back.insert([0, 0], [1, 1]) > old
-    assert old not in back
-
-
-def test_the_file_has_exactly_the_given_name(tmp_path: Path) -> None:
-    DynamicBVH(2).save(tmp_path / 'world.tree')
-    assert [path.name for path in tmp_path.iterdir()] == ['world.tree']
-    DynamicBVH.load(tmp_path / 'world.tree')
-    with np.load(tmp_path / 'world.tree', allow_pickle=False) as file:
-        assert int(file['version']) >= 1
-
-
 # ---- what is refused
 
 
