@@ -10,14 +10,14 @@ without the ways in which they move. A plane across it proves that no point is n
 """
 
 from decimal import Decimal, localcontext
+from functools import cache
 from typing import NamedTuple
 
 import numpy as np
-from scene.reference import scene_of
 from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
-from bvh_ros.scene import Mesh, ShapeKind, Shapes
+from bvh_ros.scene import Mesh, Scene, ShapeKind, Shapes
 
 BOX, SPHERE, CYLINDER, CAPSULE, MESH = ShapeKind
 FEATURES = {
@@ -271,39 +271,39 @@ def contacts(count, rng, manners, gaps, offsets, kinds=tuple(FEATURES)):
     return made
 
 
-def scene_with(made, planar=False):
-    """Obstacles '0', '1', ...: two a contact."""
-    bodies = [body for one in made for body in one.geometry_arrays]
-    held = np.empty(len(bodies), object)
+@cache
+def kept_scene(planar):
+    """One for all contacts: a new one looks up its kernels anew, which takes ten times as long."""
+    return Scene(planar=planar)
+
+
+def scene_with(shapes, planar=False):
+    """The obstacles '0', '1', ..., and no others."""
+    scene, names = kept_scene(planar), [str(row) for row in range(len(shapes.kind))]
+    scene.clear()
+    assert scene.update('test', names, shapes, stamp=1) == []
+    return scene
+
+
+def shapes_of(one):
+    bodies, held = one.geometry_arrays, np.empty(2, object)
     held[:] = [body.mesh for body in bodies]
-    shapes = Shapes(
-        np.array([body.kind for body in bodies], np.uint8),
-        np.concatenate([one.positions for one in made]),
-        np.concatenate([one.turns for one in made]),
-        np.array([body.mesh.size if body.mesh else 2 * body.half for body in bodies]),
-        held,
-    )
-    return scene_of(shapes, planar)
+    sizes = [body.mesh.size if body.mesh else 2 * body.half for body in bodies]
+    kinds = np.array([body.kind for body in bodies], np.uint8)
+    return Shapes(kinds, one.positions, one.turns, np.array(sizes), held)
 
 
 def answers(one, planar=False):
     """Whether the pair of a contact touches, and its clearance as seen from either side."""
-    scene = scene_with([one], planar)
+    scene = scene_with(shapes_of(one), planar)
     return bool(scene.overlap_pairs()), scene.clearance('0'), scene.clearance('1')
-
-
-def shape_of(one, row):
-    body = one.geometry_arrays[row]
-    position, turn = one.positions[row : row + 1], one.turns[row : row + 1]
-    if body.mesh is not None:
-        return Shapes.of_meshes([body.mesh], position, turn)
-    return Shapes(np.array([body.kind], np.uint8), position, turn, 2 * body.half[None])
 
 
 def touches_within(one, tolerance):
     """Whether the first solid of a contact touches the second one, grown by the tolerance."""
-    scene = scene_of(shape_of(one, 1), names=['it'])
-    return bool(scene.overlap_shape(shape_of(one, 0), tolerance=tolerance))
+    shapes = shapes_of(one)
+    scene = scene_with(shapes.take([1]))
+    return bool(scene.overlap_shape(shapes.take([0]), tolerance=tolerance))
 
 
 def farthest_outside(one, found, planar=False):

@@ -15,7 +15,7 @@ from scene.distance.contacts import (
     answers,
     contacts,
     farthest_outside,
-    scene_with,
+    shapes_of,
     touches_within,
 )
 from scene.reference import scene_of
@@ -128,7 +128,7 @@ def test_more_digits_are_seldom_needed(manners, gaps):
     made = contacts(300, np.random.default_rng(7), manners, gaps, (0.0,), (BOX, MESH))
     needed = 0
     for one in made:
-        scene = scene_with([one])
+        scene = scene_of(shapes_of(one))
         scene.overlap_pairs()
         needed += scene.stats()['pairs_in_more_digits']
     assert needed <= 0.1 * len(made)
