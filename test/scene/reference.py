@@ -10,6 +10,7 @@ distance along the segment.
 import itertools
 import math
 from collections.abc import Callable
+from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -18,7 +19,7 @@ from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 from turns import unit_quaternions
 
-from bvh_ros.scene import Scene, ShapeKind, Shapes, unchecked_shapes
+from bvh_ros.scene import NodeScene, Scene, ShapeKind, Shapes, unchecked_shapes
 
 Floats = NDArray[np.float64]
 COLUMNS = 'kind', 'position', 'orientation', 'size', 'mesh'
@@ -164,6 +165,21 @@ def scene_of(
     names = [str(row) for row in range(len(shapes.kind))] if names is None else names
     told = {'stamp': stamp, 'categories': categories, 'velocities': velocities}
     assert scene.update(source, names, shapes, **told) == []
+    return scene
+
+
+@cache
+def kept_scene(planar: bool) -> NodeScene:
+    """One for many: a new one looks up its kernels anew, which takes longer than questions."""
+    return NodeScene(planar=planar)
+
+
+def refilled(shapes: Shapes, planar: bool = False) -> NodeScene:
+    """As `scene_of`, but the same scene each time."""
+    scene = kept_scene(planar)
+    scene.clear()
+    names = [str(row) for row in range(len(shapes.kind))]
+    assert scene.update('test', names, shapes, stamp=1) == []
     return scene
 
 

@@ -7,7 +7,7 @@ from decimal import Decimal, localcontext
 import numpy as np
 import pytest
 from scene.distance import contacts
-from scene.reference import scene_of
+from scene.reference import refilled
 
 from bvh_ros.scene import ShapeKind, Shapes
 
@@ -48,7 +48,7 @@ def test_a_hit_lies_on_the_surface(kind: ShapeKind, scale: float, offset: float)
         turn = rng.normal(size=4)
         turn /= np.linalg.norm(turn)
         shapes = Shapes(np.array([kind], np.uint8), position[None], turn[None], size[None])
-        scene = scene_of(shapes, names=['it'])
+        scene = refilled(shapes)
         start = position + rng.normal(size=3) * 4 * scale
         goal = 2 * (position + rng.normal(size=3) * 0.3 * scale) - start
         hit = scene.raycast(start, goal)

@@ -7,7 +7,7 @@ The answer is right, or the shape is refused in words.
 
 import numpy as np
 import pytest
-from scene.reference import box_of_triangles, scene_of
+from scene.reference import box_of_triangles, refilled
 from tree.reference import effort
 
 from bvh_ros.scene import NO_NODE, Mesh, ShapeKind, Shapes
@@ -33,8 +33,7 @@ def scenes(kind, planar):
     """An obstacle about the origin alone, of each decade."""
     for decade in decades(kind):
         for turn in TURNS:
-            scene = scene_of(shape(kind, decade, turn), planar=planar, names=['it'])
-            yield decade, scene
+            yield decade, refilled(shape(kind, decade, turn), planar)
 
 
 PLANAR = [(kind, True) for kind in ShapeKind]

@@ -10,14 +10,14 @@ without the ways in which they move. A plane across it proves that no point is n
 """
 
 from decimal import Decimal, localcontext
-from functools import cache
 from typing import NamedTuple
 
 import numpy as np
+from scene.reference import refilled
 from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
-from bvh_ros.scene import Mesh, Scene, ShapeKind, Shapes
+from bvh_ros.scene import Mesh, ShapeKind, Shapes
 
 BOX, SPHERE, CYLINDER, CAPSULE, MESH = ShapeKind
 FEATURES = {
@@ -271,20 +271,6 @@ def contacts(count, rng, manners, gaps, offsets, kinds=tuple(FEATURES)):
     return made
 
 
-@cache
-def kept_scene(planar):
-    """One for all contacts: a new one looks up its kernels anew, which takes ten times as long."""
-    return Scene(planar=planar)
-
-
-def scene_with(shapes, planar=False):
-    """The obstacles '0', '1', ..., and no others."""
-    scene, names = kept_scene(planar), [str(row) for row in range(len(shapes.kind))]
-    scene.clear()
-    assert scene.update('test', names, shapes, stamp=1) == []
-    return scene
-
-
 def shapes_of(one):
     bodies, held = one.geometry_arrays, np.empty(2, object)
     held[:] = [body.mesh for body in bodies]
@@ -295,14 +281,14 @@ def shapes_of(one):
 
 def answers(one, planar=False):
     """Whether the pair of a contact touches, and its clearance as seen from either side."""
-    scene = scene_with(shapes_of(one), planar)
+    scene = refilled(shapes_of(one), planar)
     return bool(scene.overlap_pairs()), scene.clearance('0'), scene.clearance('1')
 
 
 def touches_within(one, tolerance):
     """Whether the first solid of a contact touches the second one, grown by the tolerance."""
     shapes = shapes_of(one)
-    scene = scene_with(shapes.take([1]))
+    scene = refilled(shapes.take([1]))
     return bool(scene.overlap_shape(shapes.take([0]), tolerance=tolerance))
 
 

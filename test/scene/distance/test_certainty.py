@@ -13,10 +13,10 @@ import math
 
 import numpy as np
 import pytest
-from scene.reference import bulging, geometry_arrays, hull_distances, hull_of
+from scene.reference import bulging, geometry_arrays, hull_distances, hull_of, refilled
 from tree.reference import effort, exact_hits
 
-from bvh_ros.scene import NO_NODE, Mesh, NodeScene, ShapeKind, Shapes
+from bvh_ros.scene import NO_NODE, Mesh, ShapeKind, Shapes
 
 SURE = 1e-12  # of L
 BOX, SPHERE, CYLINDER, CAPSULE, MESH = ShapeKind
@@ -59,8 +59,7 @@ class Body:
             self.middle = self.solid.matrix @ middle
             faces = mesh.vertices[mesh.corners[:, 0]] - middle
             self.inner = float(np.einsum('ni,ni->n', mesh.normals, faces).min())
-        self.scene = NodeScene(planar=planar)
-        assert self.scene.update('test', ['it'], shapes, stamp=1) == []
+        self.scene = refilled(shapes, planar)
 
     def farthest(self, normals):
         """Points (n, 3), from the position, of the shape farthest along vectors (n, 3)."""

@@ -9,7 +9,15 @@ from fractions import Fraction
 import numpy as np
 import pytest
 from scene.distance.contacts import rotation
-from scene.reference import bulging, changed, geometry_arrays, hull_of, random_shapes, scene_of
+from scene.reference import (
+    bulging,
+    changed,
+    geometry_arrays,
+    hull_of,
+    random_shapes,
+    refilled,
+    scene_of,
+)
 from turns import unit_quaternions
 
 from bvh_ros.scene import Mesh, Scene, Shapes
@@ -24,7 +32,7 @@ def shape(kind, size, place=(0, 0, 0), turn=(0, 0, 0, 1)):
 
 def depth(one, other, planar=False):
     """(distance, point, other point) of a shape and an obstacle."""
-    told = scene_of(other, planar).clearance_many(one, signed=True)
+    told = refilled(other, planar).clearance_many(one, signed=True)
     return told[1].item(), told[2][0], told[3][0]
 
 
@@ -261,7 +269,7 @@ def test_points_in_shapes(planar):
         for scale in (1.0, 2.0**-900, 2.0**900, 1e-150, 1e150):
             rows = shape(kind, np.multiply(size, scale), turn=turn)
             where = matrix @ place * scale
-            hit = scene_of(rows, planar).nearest(where, signed=True)[0]
+            hit = refilled(rows, planar).nearest(where, signed=True)[0]
             assert hit.t == pytest.approx(expected * scale, abs=1e-14 * scale)
             assert np.linalg.norm(hit.normal) == pytest.approx(1.0)
             assert hit.point == pytest.approx(where - hit.t * hit.normal, abs=1e-10 * scale)

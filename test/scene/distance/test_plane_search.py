@@ -18,11 +18,10 @@ from scene.distance.contacts import (
     answers,
     contact,
     farthest_outside,
-    scene_with,
     shapes_of,
     touches_within,
 )
-from scene.reference import scene_of
+from scene.reference import refilled, scene_of
 from turns import unit_quaternions
 
 from bvh_ros.scene import Shapes
@@ -65,7 +64,7 @@ def test_every_feature_of_a_cylinder(sizes, sign):
         if gap > min(sizes) / 20:
             continue
         for one in every(sizes, sign * gap, rng):
-            assert bool(scene_with(shapes_of(one)).overlap_pairs()) == (sign < 0), one
+            assert bool(refilled(shapes_of(one)).overlap_pairs()) == (sign < 0), one
             assert touches_within(one, 0.0) == (sign < 0), one
 
 

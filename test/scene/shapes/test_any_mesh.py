@@ -18,7 +18,7 @@ from scene.meshes import (
     segments,
     with_gaps,
 )
-from scene.reference import icosphere, scene_of
+from scene.reference import icosphere, refilled, scene_of
 from scipy.spatial.transform import Rotation
 
 from bvh_ros.scene import Mesh, Shapes
@@ -77,7 +77,7 @@ def test_a_ray_in_the_plane_of_a_triangle_touches_its_edges_exactly(power, spare
         count += 1
         corners = at + np.array([(0, 0), 7 * step, third]) @ axes
         mesh = Mesh(np.concatenate((corners[None], far)) * unit)
-        scene = scene_of(Shapes.of_meshes(mesh, [0, 0, 0]))
+        scene = refilled(Shapes.of_meshes(mesh, [0, 0, 0]))
         ways = (ways[beside] @ axes) * unit
         places = (at + rng.integers(0, 8, (len(ways), 1)) * (step @ axes)) * unit
         for begins, way, limit in ((places, ways, 1.0), (places + 3.0 * ways, -ways, 3.0)):
@@ -115,7 +115,7 @@ def test_a_ray_almost_in_the_plane_of_a_triangle_ends_where_it_crosses_it(spare)
     far, hits, misses = rng.uniform(500, 520, (spare, 3, 3)), 0, 0
     for _ in range(60):
         triangle = rng.normal(size=(3, 3)) + rng.normal(size=3)
-        scene = scene_of(Shapes.of_meshes(Mesh([triangle, *far]), [0, 0, 0]))
+        scene = refilled(Shapes.of_meshes(Mesh([triangle, *far]), [0, 0, 0]))
         a, b, c = triangle[rng.permutation(3)]
         share, beyond = rng.uniform(0.0, 1.0, (20, 1)), rng.uniform(0.2, 3.0, (20, 1))
         starts = a + share * (b - a) + beyond * (a - c)
