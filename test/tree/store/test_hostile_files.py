@@ -268,8 +268,8 @@ def test_a_claimed_shape_takes_no_memory(
 
 
 def test_what_unpacks_to_nothing_but_zeros_is_not_unpacked(tmp_path: Path) -> None:
-    """A million places, all zero, in a file of 130 kB: refused by the size alone."""
-    path, places = tmp_path / 'tree.npz', 2**20
+    """131,072 places, all zero, in a file of 20 kB: refused by the size alone."""
+    path, places = tmp_path / 'tree.npz', 2**17
     tree = DynamicBVH(3, capacity=places)
     tree.save(path)
     DynamicBVH.load(path)  # an empty tree of that size is sound
