@@ -12,7 +12,7 @@ import os
 from collections.abc import Iterable, Sequence
 from fractions import Fraction
 from operator import attrgetter
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numba import config
@@ -162,9 +162,11 @@ def check_hit(
     hit: RayHit, exact: ExactHit, lo: Floats, hi: Floats, sweep: tuple[Floats, Floats, Floats]
 ) -> None:
     """Check everything that is promised of one hit but its handle; lo and hi are of the box that
-    is met, and of the swept one and its way `sweep`. A ray is a box whose corners are its origin.
+    is met; `sweep` is the corners of the swept box, and its way. A ray is a box whose corners are
+    its origin.
     """
-    way, normal = sweep[2], np.zeros(len(lo))
+    low, high, way = sweep
+    normal = np.zeros(len(lo))
     if exact.axis != INSIDE:
         normal[exact.axis] = -np.sign(way[exact.axis])
         assert hit.point[exact.axis] == (lo if way[exact.axis] > 0 else hi)[exact.axis]
@@ -174,22 +176,22 @@ def check_hit(
     assert (hit.point <= hi).all()
     if exact.axis == INSIDE:
         assert hit.t == 0.0
-    if math.isfinite(hit.t):
-        for axis, got in enumerate(hit.point.tolist()):
-            if axis != exact.axis:
-                _check_coordinate(got, exact.t, axis, lo, hi, sweep)
+    if math.isinf(hit.t):
+        return
+    for axis in range(len(lo)):
+        if axis != exact.axis:
+            start = (Fraction(low[axis]) + Fraction(high[axis])) / 2
+            place = exact.t * Fraction(way[axis]) + start
+            place = min(max(place, Fraction(lo[axis])), Fraction(hi[axis]))
+            _check_coordinate(hit.point[axis], place, exact.t, start, Fraction(way[axis]))
 
 
-def _check_coordinate(got: float, t: Fraction, axis: int, *corners_and_sweep: Any) -> None:
-    """It is that of the middle, within the box that is met, within a few roundings of the numbers
-    that make it.
-    """
-    lo, hi, (low, high, way) = corners_and_sweep
-    start = (Fraction(low[axis]) + Fraction(high[axis])) / 2
-    move = t * Fraction(way[axis])
-    place = min(max(start + move, Fraction(lo[axis])), Fraction(hi[axis]))
-    slack = (abs(move) + abs(start)) * Fraction(2, 10**15)
-    slack += Fraction(SMALLEST) * (4 + 4 * abs(Fraction(way[axis])))
+def _check_coordinate(
+    got: float, place: Fraction, t: Fraction, start: Fraction, way: Fraction
+) -> None:
+    """It is the exact one within a few roundings of the numbers that make it."""
+    slack = (abs(t * way) + abs(start)) * Fraction(2, 10**15)
+    slack += Fraction(SMALLEST) * (4 + 4 * abs(way))
     assert abs(Fraction(got) - place) <= slack, (got, float(place))
 
 

@@ -3,7 +3,7 @@
 """A ray or ball gets the same answer, bit for bit, in every form of the query.
 
 Alone, in a batch, in threads, as the first of all hits; through the tree, a snapshot, a patched
-one or a swept one; among all obstacles or past each of them alone. `test_casting` and
+one or a swept one; among all obstacles or past each of them alone. `test_certainty` and
 `test_moments` check that the answer is right.
 """
 
