@@ -7,7 +7,7 @@ from decimal import Decimal, localcontext
 import numpy as np
 import pytest
 from scene.distance import contacts
-from scene.reference import refilled
+from scene.reference import random_turns, refilled
 
 from bvh_ros.scene import ShapeKind, Shapes
 
@@ -45,8 +45,7 @@ def test_a_hit_lies_on_the_surface(kind: ShapeKind, scale: float, offset: float)
         if kind == ShapeKind.CAPSULE:
             size[2] += size[0]
         position = (rng.uniform(-2, 2, 3) + offset) * scale
-        turn = rng.normal(size=4)
-        turn /= np.linalg.norm(turn)
+        (turn,) = random_turns(rng, 1)
         shapes = Shapes(np.array([kind], np.uint8), position[None], turn[None], size[None])
         scene = refilled(shapes)
         start = position + rng.normal(size=3) * 4 * scale

@@ -6,8 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from scene.reference import changed, geometry_arrays, random_shapes, scene_of
-from turns import unit_quaternions
+from scene.reference import changed, geometry_arrays, random_shapes, random_turns, scene_of
 
 from bvh_ros.scene import Scene, Shapes
 
@@ -75,9 +74,7 @@ def test_far_from_the_origin_distances_keep_their_digits():
     rng = np.random.default_rng(12)
     shapes = random_shapes(rng, 40, 2.0)
     places = np.round(shapes.position * 2.0**36) * 2.0**-36
-    turned = changed(
-        shapes, position=places, orientation=unit_quaternions(rng.normal(size=(40, 4)))
-    )
+    turned = changed(shapes, position=places, orientation=random_turns(rng, 40))
     near, far = scene_of(turned), scene_of(changed(turned, position=places + 8192.0))
     for point in np.round(rng.uniform(-3, 3, (60, 3)) * 2.0**36) * 2.0**-36:
         here, there = near.nearest(point, 5), far.nearest(point + 8192.0, 5)

@@ -15,10 +15,10 @@ from scene.reference import (
     geometry_arrays,
     hull_of,
     random_shapes,
+    random_turns,
     refilled,
     scene_of,
 )
-from turns import unit_quaternions
 
 from bvh_ros.scene import Mesh, Scene, Shapes
 
@@ -111,10 +111,8 @@ def with_meshes(rng, rows):
     if rng.random() < 0.7:
         return rows, None
     triangles = bulging(rng, int(rng.choice([6, 20, 40])))
-    mesh = Mesh(triangles)
-    return Shapes.of_meshes(
-        [mesh], rows.position, unit_quaternions(rng.normal(size=(1, 4)))
-    ), triangles
+    placed = Shapes.of_meshes([Mesh(triangles)], rows.position, random_turns(rng, 1))
+    return placed, triangles
 
 
 @pytest.mark.slow
@@ -140,8 +138,7 @@ def test_shapes_that_lie_along_each_other():
     touching = 0
     for kind, other_kind in itertools.product(range(5), repeat=2):
         for nearly in NEARLY:
-            turn = rng.normal(size=4)
-            turn /= np.linalg.norm(turn)
+            (turn,) = random_turns(rng, 1)
             pair = []
             for number in (kind, other_kind):
                 a, b, c = rng.choice(sizes, 3)

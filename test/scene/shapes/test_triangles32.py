@@ -7,7 +7,7 @@ meshes, where float64 looks at every triangle.
 import numpy as np
 import pytest
 from scene.meshes import cut_cube, grid_triangles
-from scene.reference import icosphere, scene_of
+from scene.reference import icosphere, random_turns, scene_of
 from scipy.spatial.transform import Rotation
 
 from bvh_ros.scene import Mesh, Shapes
@@ -108,8 +108,7 @@ def test_no_nearer_triangle_is_left_out(name, decade):
     triangles = triangles * 10.0**decade
     whole, apart = scenes_of(triangles)
     size = rng.random((len(points), 3)) * 10.0**decade * 0.3
-    turn = rng.normal(size=(len(points), 4))
-    turn /= np.linalg.norm(turn, axis=1, keepdims=True)
+    turn = random_turns(rng, len(points))
     turn[::2] = EYE
     rows = np.arange(0, len(points), 4)
     bodies = [
