@@ -83,6 +83,15 @@ def shared_data() -> Path:
     return folder
 
 
+@pytest.fixture
+def pyplot() -> Iterator[Any]:
+    """matplotlib, which draws to memory; its pictures are closed."""
+    pyplot = pytest.importorskip('matplotlib.pyplot', reason='matplotlib is not installed')
+    pyplot.switch_backend('agg')
+    yield pyplot
+    pyplot.close('all')
+
+
 @pytest.fixture(scope='session')
 def ros_context() -> Iterator[None]:
     """ROS in this process, from the first test that needs it to the last: `rclpy.init` is legal

@@ -35,7 +35,7 @@ def elsewhere(tmp_path, monkeypatch):
 
 def warm_up(*arguments, code=ONE):
     nowhere = {'BVH_ROS_KERNELS': 'nowhere', 'NUMBA_CACHE_DIR': 'nowhere'}
-    return run_alone(code, *map(str, arguments), **nowhere)
+    return run_alone(code, *map(str, arguments), ends=None, **nowhere)
 
 
 @pytest.mark.parametrize('cpu', [pytest.param('native', marks=pytest.mark.slow), 'x86-64-v2'])

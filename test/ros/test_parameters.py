@@ -320,8 +320,7 @@ def test_help_is_given():
 
 def test_wrong_arguments_of_the_report():
     main = 'import sys; from bvh_ros.report.cli import main; sys.exit(main(sys.argv[1:]))'
-    ended = run_alone(main, 'speed', '--out', os.devnull)
-    assert ended.returncode == 2, ended.stderr
+    ended = run_alone(main, 'speed', '--out', os.devnull, ends=2)
     assert 'Traceback' not in ended.stderr
     assert '--out' in ended.stderr.splitlines()[-1]
 

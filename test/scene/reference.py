@@ -10,7 +10,8 @@ distance along the segment.
 import itertools
 import math
 from collections.abc import Callable
-from typing import NamedTuple
+from functools import cache
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -18,9 +19,10 @@ from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 from turns import unit_quaternions
 
-from bvh_ros.scene import Scene, ShapeKind, Shapes
+from bvh_ros.scene import NodeScene, Scene, ShapeKind, Shapes, unchecked_shapes
 
 Floats = NDArray[np.float64]
+COLUMNS = 'kind', 'position', 'orientation', 'size', 'mesh'
 
 
 class Solid(NamedTuple):
@@ -77,23 +79,31 @@ def widest_gap(offsets: Floats, support: Callable[[Floats], Floats]) -> Floats:
     return np.maximum(gaps.max(axis=1), 0.0)
 
 
-def hull_distances(points: Floats, triangles: Floats) -> Floats:
-    """Distances of points (n, 3) from the convex solid with these faces (m, 3, 3), 0 inside: of
-    its faces, seen straight on, and their edges the nearest.
+def surface_distances(points: Floats, triangles: Floats) -> Floats:
+    """Distances of points (n, 3) from triangles (m, 3, 3): of faces, seen straight on, and edges
+    the nearest. A triangle without an area has edges only.
     """
-    turned = np.roll(triangles, -1, axis=1)
-    normals = np.cross(*np.moveaxis(turned - triangles, 1, 0)[:2])
-    normals /= np.linalg.norm(normals, axis=1)[:, None]
-    outwards = np.einsum('mi,mi->m', normals, triangles[:, 0] - triangles.mean(axis=(0, 1)))
-    heights = points @ normals.T - np.einsum('mi,mi->m', normals, triangles[:, 0])
-    heights *= np.copysign(1.0, outwards)
-    sides, from_corner = turned - triangles, points[:, None, None] - triangles
+    sides = np.roll(triangles, -1, axis=1) - triangles
+    normals, squares = np.cross(sides[:, 0], sides[:, 1]), np.sum(sides * sides, axis=2)
+    areas = np.linalg.norm(normals, axis=1)
+    normals /= np.maximum(areas, 1e-300)[:, None]
+    from_corner = points[:, None, None] - triangles
     straight_on = np.einsum('mei,nmei->nme', np.cross(normals[:, None], sides), from_corner) >= 0
-    share = np.einsum('mei,nmei->nme', sides, from_corner) / np.sum(sides * sides, axis=2)
+    share = np.einsum('mei,nmei->nme', sides, from_corner) / np.maximum(squares, 1e-300)
     to_edge = from_corner - np.clip(share, 0.0, 1.0)[..., None] * sides
-    best = np.linalg.norm(to_edge, axis=3).min(axis=(1, 2))
-    faced = np.where(straight_on.all(axis=2), np.abs(heights), np.inf).min(axis=1)
-    return np.where((heights <= 0.0).all(axis=1), 0.0, np.minimum(best, faced))
+    heights = np.abs(np.einsum('mi,nmi->nm', normals, from_corner[:, :, 0]))
+    faced = straight_on.all(axis=2) & (areas > 1e-9 * squares.max(axis=1))
+    nearest = np.linalg.norm(to_edge, axis=3).min(axis=2)
+    return np.where(faced, np.minimum(heights, nearest), nearest).min(axis=1)
+
+
+def hull_distances(points: Floats, triangles: Floats) -> Floats:
+    """Distances of points (n, 3) from the convex solid with these faces (m, 3, 3), 0 inside."""
+    normals = np.cross(*np.moveaxis(triangles[:, 1:] - triangles[:, :1], 1, 0))
+    from_middle = triangles[:, 0] - triangles.mean(axis=(0, 1))
+    normals *= np.copysign(1.0, np.einsum('mi,mi->m', normals, from_middle))[:, None]
+    heights = points @ normals.T - np.einsum('mi,mi->m', normals, triangles[:, 0])
+    return np.where((heights <= 0.0).all(axis=1), 0.0, surface_distances(points, triangles))
 
 
 def geometry_arrays(shapes: Shapes) -> list[Solid]:
@@ -138,11 +148,49 @@ def icosphere(splits: int) -> Floats:
     return triangles / np.linalg.norm(triangles, axis=2, keepdims=True)
 
 
-def scene_of(shapes: Shapes, planar: bool = False) -> Scene:
-    """Obstacles named by their rows."""
-    scene = Scene(planar=planar)
-    assert scene.update('test', [str(i) for i in range(len(shapes.kind))], shapes, stamp=1) == []
+def scene_of(
+    shapes: Shapes,
+    planar: bool = False,
+    *,
+    names: Any = None,
+    source: str = 'test',
+    stamp: Any = 1,
+    categories: Any = 1,
+    velocities: Any = None,
+    of: type[Scene] = Scene,
+    **options: Any,
+) -> Any:
+    """A scene of obstacles: by default named by their rows, from one source."""
+    scene = of(planar=planar, **options)
+    names = [str(row) for row in range(len(shapes.kind))] if names is None else names
+    told = {'stamp': stamp, 'categories': categories, 'velocities': velocities}
+    assert scene.update(source, names, shapes, **told) == []
     return scene
+
+
+@cache
+def kept_scene(planar: bool) -> NodeScene:
+    """One for many: a new one looks up its kernels anew, which takes longer than questions."""
+    return NodeScene(planar=planar)
+
+
+def refilled(shapes: Shapes, planar: bool = False) -> NodeScene:
+    """As `scene_of`, but the same scene each time."""
+    scene = kept_scene(planar)
+    scene.clear()
+    names = [str(row) for row in range(len(shapes.kind))]
+    assert scene.update('test', names, shapes, stamp=1) == []
+    return scene
+
+
+def changed(shapes: Shapes, **columns: Any) -> Shapes:
+    """Shapes with some of their columns as they are given, legal or not."""
+    return unchecked_shapes(**{**dict(zip(COLUMNS, shapes, strict=True)), **columns})
+
+
+def random_turns(rng: np.random.Generator, count: int) -> Floats:
+    """Unit quaternions (n, 4)."""
+    return unit_quaternions(rng.normal(size=(count, 4)))
 
 
 def random_shapes(rng: np.random.Generator, count: int, reach: float = 5.0) -> Shapes:

@@ -6,24 +6,13 @@ from decimal import Decimal, localcontext
 
 import numpy as np
 import pytest
+from scene.distance import contacts
+from scene.reference import random_turns, refilled
 
-from bvh_ros.scene import Scene, ShapeKind, Shapes
+from bvh_ros.scene import ShapeKind, Shapes
 
 UNIT = 2.0**-53
 BOUND = 8  # roundings, see bvh_ros.scene.cast.shapes
-
-
-def to_frame(point: list[Decimal], position: np.ndarray, turn: np.ndarray) -> list[Decimal]:
-    """The point in the frame of a shape whose unit quaternion is `turn` normalised exactly."""
-    x, y, z, w = (Decimal(float(part)) for part in turn)
-    square = x * x + y * y + z * z + w * w
-    p = [a - Decimal(float(b)) for a, b in zip(point, position, strict=True)]
-    rows = (
-        (w * w + x * x - y * y - z * z, 2 * (x * y + w * z), 2 * (x * z - w * y)),
-        (2 * (x * y - w * z), w * w - x * x + y * y - z * z, 2 * (y * z + w * x)),
-        (2 * (x * z + w * y), 2 * (y * z - w * x), w * w - x * x - y * y + z * z),
-    )
-    return [sum((m * c for m, c in zip(row, p, strict=True)), Decimal(0)) / square for row in rows]
 
 
 def depth(kind: ShapeKind, local: list[Decimal], size: np.ndarray) -> Decimal:
@@ -56,11 +45,9 @@ def test_a_hit_lies_on_the_surface(kind: ShapeKind, scale: float, offset: float)
         if kind == ShapeKind.CAPSULE:
             size[2] += size[0]
         position = (rng.uniform(-2, 2, 3) + offset) * scale
-        turn = rng.normal(size=4)
-        turn /= np.linalg.norm(turn)
-        scene = Scene()
+        (turn,) = random_turns(rng, 1)
         shapes = Shapes(np.array([kind], np.uint8), position[None], turn[None], size[None])
-        assert scene.update('s', ['it'], shapes, stamp=1) == []
+        scene = refilled(shapes)
         start = position + rng.normal(size=3) * 4 * scale
         goal = 2 * (position + rng.normal(size=3) * 0.3 * scale) - start
         hit = scene.raycast(start, goal)
@@ -70,11 +57,9 @@ def test_a_hit_lies_on_the_surface(kind: ShapeKind, scale: float, offset: float)
         with localcontext() as context:
             context.prec = 60
             way = goal - start
-            there = [
-                Decimal(float(o)) + Decimal(hit.t) * Decimal(float(d))
-                for o, d in zip(start, way, strict=True)
-            ]
-            off = abs(float(depth(kind, to_frame(there, position, turn), size)))
+            there = contacts.decimals(start) + Decimal(hit.t) * contacts.decimals(way)
+            local = (there - contacts.decimals(position)) @ contacts.matrix(turn)
+            off = abs(float(depth(kind, local.tolist(), size)))
         largest = float(np.abs([start, goal, position, size]).max())
         worst = max(worst, off / (UNIT * largest))
     assert hits > 60

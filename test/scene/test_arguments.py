@@ -8,16 +8,12 @@ import fractions
 
 import numpy as np
 import pytest
-from scene.reference import box_of_triangles
+from scene.reference import box_of_triangles, changed, scene_of
 
 from bvh_ros.scene import Families, Mesh, NodeScene, Numbered, Part, ShapeKind, Shapes
 
 CUBE = Mesh(box_of_triangles((1, 1, 1)))
 BOX = Shapes.boxes([[0, 0, 0]], [1, 1, 1])
-
-
-def changed(**columns):
-    return BOX._replace(**columns)
 
 
 MASKED = np.ma.masked_array([[0.0, 0.0, 0.0]], [[True, False, False]])
@@ -34,30 +30,56 @@ NOT_NAMES += [Numbered('a', np.ma.masked_array([1], [True])), ['a', 'b']]
 NOT_NAMES += [Families(['a'], np.array(f), np.array([1])) for f in ([1], [-1], [0.5], [0, 0], 0)]
 NOT_NAMES += [Families([None], np.array([0]), np.array([1]))]
 NOT_KINDS = [[0.0], [True], ['BOX'], 0, [[0]], [0, 0], [None], np.ma.masked_array([0], [True])]
-NOT_SHAPES = [None, 5, tuple(BOX), [BOX], changed(mesh=3), changed(mesh=np.empty(2, object))]
-NOT_SHAPES += [changed(kind=kind) for kind in NOT_KINDS]
-NOT_SHAPES += [changed(**{name: bad}) for name in ('position', 'size') for bad in NOT_POINTS]
-NOT_SHAPES += [changed(orientation=bad) for bad in (*NOT_POINTS[:5], [[0, 0, 0]], 0)]
-ROUND = {ShapeKind.SPHERE: (1, 1, 2), ShapeKind.CYLINDER: (1, 2, 1), ShapeKind.CAPSULE: (2, 2, 1)}
-BAD_ROWS = [changed(kind=np.array([kind])) for kind in (-1, 5, 255, 256, 2**40)]
-BAD_ROWS += [changed(kind=np.array([2**64 - 1], np.uint64))]
+NOT_SHAPES = [
+    None,
+    5,
+    tuple(BOX),
+    [BOX],
+    changed(BOX, mesh=3),
+    changed(BOX, mesh=np.empty(2, object)),
+]
+NOT_SHAPES += [changed(BOX, kind=kind) for kind in NOT_KINDS]
+NOT_SHAPES += [changed(BOX, **{name: bad}) for name in ('position', 'size') for bad in NOT_POINTS]
+NOT_SHAPES += [changed(BOX, orientation=bad) for bad in (*NOT_POINTS[:5], [[0, 0, 0]], 0)]
+BAD_ROWS = [
+    (changed(BOX, kind=np.array([kind])), 'none of BOX, SPHERE, CYLINDER, CAPSULE and MESH')
+    for kind in (-1, 5, 255, 256, 2**40, np.uint64(2**64 - 1))
+]
 BAD_ROWS += [
-    changed(**{name: np.array([[bad] + [0.5] * more])})
+    (changed(BOX, **{name: np.array([[bad] + [0.5] * more])}), f'{name} is not finite')
     for name, more in (('position', 2), ('orientation', 3), ('size', 2))
     for bad in (np.nan, np.inf, -np.inf)
 ]
-BAD_ROWS += [changed(size=np.array([[-1.0, 1, 1]])), changed(size=np.full((1, 3), 1e309))]
-BAD_ROWS += [changed(position=np.full((1, 3), 1.7e308), size=np.full((1, 3), 1.7e308))]
+BAD_ROWS += [(changed(BOX, size=np.full((1, 3), 1e309)), 'size is not finite')]
+BAD_ROWS += [(changed(BOX, size=np.array([[-1e-9, 1, 1]])), 'size is negative')]
 BAD_ROWS += [
-    changed(kind=np.array([kind]), size=np.array([size], float))
-    for kind, odd in ROUND.items()
-    for size in (odd, (0, 0, 0), (1, 1, 0), (-1, -1, -1))
+    (
+        changed(BOX, position=np.full((1, 3), 1.7e308), size=np.full((1, 3), 1.7e308)),
+        'largest double',
+    )
 ]
 BAD_ROWS += [
-    changed(kind=np.array([ShapeKind.MESH]), mesh=mesh)
+    (changed(BOX, kind=np.array([kind]), size=np.array([size], float)), words)
+    for kind, size, words in (
+        (ShapeKind.SPHERE, (1, 1, 2), 'sphere must be equal'),
+        (ShapeKind.CYLINDER, (1, 2, 1), 'cylinder or capsule along x and y must be equal'),
+        (ShapeKind.CAPSULE, (2, 2, 1), 'at least as long'),
+        (ShapeKind.SPHERE, (1, 1, 0), 'sphere must be equal'),
+        (ShapeKind.CYLINDER, (1, 1, 0), 'above zero'),
+        (ShapeKind.CAPSULE, (1, 1, 0), 'above zero'),
+    )
+]
+BAD_ROWS += [
+    (changed(BOX, kind=np.array([kind]), size=np.array([size], float)), words)
+    for kind in (ShapeKind.SPHERE, ShapeKind.CYLINDER, ShapeKind.CAPSULE)
+    for size, words in (((0, 0, 0), 'above zero'), ((-1, -1, -1), 'size is negative'))
+]
+BAD_ROWS += [
+    (changed(BOX, kind=np.array([ShapeKind.MESH]), mesh=mesh), 'needs its Mesh')
     for mesh in (None, *(np.array([x, 0], object)[:1] for x in (None, 'x', 7)))
 ]
-BAD_ROWS += [Shapes.of_meshes([CUBE], [[0, 0, 0]])._replace(size=np.full((1, 3), 2.0))]
+OF_MESH = Shapes.of_meshes([CUBE], [[0, 0, 0]])
+BAD_ROWS += [(changed(OF_MESH, size=np.full((1, 3), 2.0)), 'size of it')]
 
 
 @pytest.fixture
@@ -131,11 +153,15 @@ def test_changes(scene):
 
 def test_rows_that_are_no_shape_are_refused_one_by_one(scene):
     before = state(scene)
-    for rows in BAD_ROWS:
+    for rows, words in BAD_ROWS:
         (refusal,) = scene.update('s', ['a'], rows, stamp=8)
-        assert refusal.reason
+        assert (refusal.row, refusal.name) == (0, 'a')
+        assert words in refusal.reason
         assert state(scene) == before
         refused(scene, scene.overlap_shape, rows)
+        other = scene_of(BOX, names=['a'], source='s', of=NodeScene)
+        (refusal,) = other.replace('s', '', ['a'], rows, stamp=3)
+        assert (other.get('a').stamp, other.newest, words in refusal.reason) == (1, 3, True)
 
 
 def test_constructors(scene):

@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import strategies as st
 from scene.inside import store_of
-from scene.reference import bulging, random_shapes
-from turns import unit_quaternions
+from scene.reference import bulging, changed, random_shapes, random_turns, scene_of
 
 from bvh_ros.scene import NO_NODE, Mesh, NodeScene, Numbered, Part, Shapes
 
@@ -23,14 +22,10 @@ def same(one, other):
 
 def scene_with(shapes, planar, masks, meshes=0):
     rng = np.random.default_rng(2)
-    scene = NodeScene(planar=planar, margin=0.1)
-    names = [str(i) for i in range(len(shapes.kind))]
-    scene.update('test', names, shapes, stamp=1, categories=masks)
+    scene = scene_of(shapes, planar, of=NodeScene, categories=masks, margin=0.1)
     if meshes:
         held = [Mesh(bulging(rng)) for _ in range(meshes)]
-        rows = Shapes.of_meshes(
-            held, rng.uniform(-4, 4, (meshes, 3)), unit_quaternions(rng.normal(size=(meshes, 4)))
-        )
+        rows = Shapes.of_meshes(held, rng.uniform(-4, 4, (meshes, 3)), random_turns(rng, meshes))
         scene.update('test', [f'mesh{i}' for i in range(meshes)], rows, stamp=1)
     return scene
 
@@ -90,7 +85,7 @@ def assert_wants(lists, ask, *asked):
 def test_overlaps_of_boxes(world):
     scene, rng = world
     centers, sizes = points_of(rng, 200), rng.integers(0, 5, (200, 3)) * 0.25
-    turns = unit_quaternions(rng.normal(size=(200, 4)))
+    turns = random_turns(rng, 200)
     turns[:100] = (0.0, 0.0, 0.0, 1.0)
     tolerances, masks = rng.choice([0.0, 0.5, 0.25], 200), rng.integers(0, 4, 200)
     lists = [
@@ -108,11 +103,11 @@ def test_overlaps_of_one_shape(world):
     mesh = Shapes.of_meshes([Mesh(bulging(rng))], [[0, 0, 0]])
     forms = [every.take(np.flatnonzero(every.kind == kind)[:1]) for kind in range(4)]
     for shape in [*forms, mesh]:
-        places, turns = points_of(rng, 40), unit_quaternions(rng.normal(size=(40, 4)))
+        places, turns = points_of(rng, 40), random_turns(rng, 40)
         for orientations in (turns, None):
             rows = np.tile(shape.orientation, (40, 1)) if orientations is None else orientations
             lists = [
-                scene.overlap_shape(shape._replace(position=p[None], orientation=q[None]), 0.1, 3)
+                scene.overlap_shape(changed(shape, position=p[None], orientation=q[None]), 0.1, 3)
                 for p, q in zip(places, rows, strict=True)
             ]
             assert_wants(lists, scene.overlap_shape_many, shape, places, orientations, 0.1, 3)
@@ -180,9 +175,9 @@ def test_an_obstacle_at_two_places_is_one(set_slices):
     """Halfway through an update in slices, see slicing.py."""
     set_slices(20, 30)
     rng = np.random.default_rng(5)
-    scene, before = NodeScene(), random_shapes(rng, 60)
-    scene.update('test', Numbered('c#', np.arange(60)), before, stamp=1)
-    after = before._replace(position=before.position + 0.4)
+    before = random_shapes(rng, 60)
+    scene = scene_of(before, names=Numbered('c#', np.arange(60)), of=NodeScene)
+    after = changed(before, position=before.position + 0.4)
     parts = (
         Part(Numbered('c#', rows), after.take(rows), 2) for rows in np.arange(60).reshape(2, 30)
     )
@@ -249,13 +244,13 @@ SHAPE = Shapes.boxes([[0, 0, 0]], ONE)
         ('overlap_many', (POINT, ONE, None, 0.0, 1, ['any']), 'want'),
         ('overlap_many', ([[1e308] * 3], [1.7e308] * 3, [[1, 2, 3, 4]]), 'row 0'),
         ('overlap_shape_many', (Shapes.boxes(POINT, ONE), POINT), 'one row'),
-        ('overlap_shape_many', (SHAPE._replace(kind=np.array([9])), POINT), 'row 0'),
+        ('overlap_shape_many', (changed(SHAPE, kind=np.array([9])), POINT), 'row 0'),
         ('overlap_shape_many', (SHAPE, NAN), 'positions.* row 1'),
         ('overlap_shape_many', ('box', POINT), 'Shapes'),
         ('nearest_many', (NAN,), 'points.* row 1'),
         ('nearest_many', (POINT, 0), r'\bk\b'),
         ('nearest_many', (POINT, 1, [1.0, -1.0]), 'max_distance.* row 1'),
-        ('clearance_many', (Shapes.boxes(POINT, ONE)._replace(position=np.array(NAN)),), 'row 1'),
+        ('clearance_many', (changed(Shapes.boxes(POINT, ONE), position=np.array(NAN)),), 'row 1'),
         ('clearance_many', (Shapes.boxes(POINT, ONE), math.nan), 'max_distance'),
         ('clearance_many', (Shapes.boxes(POINT, ONE), 1.0, 1, False, 1.5), 'threads'),
     ],
@@ -268,8 +263,7 @@ def test_bad_input_is_refused(query, arguments, said):
 def test_balls_that_may_touch_more_than_there_is_room_for():
     """The room is kept by each thread, and made larger where a ball wants it."""
     for planar in (False, True, False):
-        scene = NodeScene(planar=planar)
-        scene.update('s', Numbered('o', np.arange(70)), Shapes.boxes(np.ones((70, 3)), 1), stamp=0)
+        scene = scene_of(Shapes.boxes(np.ones((70, 3)), 1), planar)
         starts = np.array([[-5.0, 1, 1], [-5, 9, 1], [-5, 1.2, 1]])
         goals = np.add(starts, [9, 0, 0])
         for threads in (1, 2):
@@ -282,8 +276,8 @@ def test_balls_that_may_touch_more_than_there_is_room_for():
 @pytest.mark.parametrize('planar', [False, True])
 @pytest.mark.parametrize('turned', [False, True])
 def test_no_kernel_answers_what_is_not_finite(planar, turned, radius):
-    scene, turn = NodeScene(planar=planar), [[0.0, 0.0, 0.3, 0.95]] if turned else None
-    scene.update('test', ['one'], Shapes.boxes([[0.0] * 3], [1.0] * 3, turn), stamp=1)
+    turn = [[0.0, 0.0, 0.3, 0.95]] if turned else None
+    scene = scene_of(Shapes.boxes([[0.0] * 3], [1.0] * 3, turn), planar)
     good, rows = np.ones((5, 3)), np.full((5, 3), 30.0)
     for axis in range(3):
         for bad in np.nan, np.inf, -np.inf:

@@ -7,10 +7,10 @@ The answer is right, or the shape is refused in words.
 
 import numpy as np
 import pytest
-from scene.reference import box_of_triangles
+from scene.reference import box_of_triangles, refilled
 from tree.reference import effort
 
-from bvh_ros.scene import NO_NODE, Mesh, Scene, ShapeKind, Shapes
+from bvh_ros.scene import NO_NODE, Mesh, ShapeKind, Shapes
 
 TURNS = [0.3, -0.2, 0.5, 0.8], [0.0, 0.0, 0.0, 1.0]
 DECADES = [*range(-300, 301, effort(100, 20)), -307, -60, 60, 307]
@@ -33,9 +33,7 @@ def scenes(kind, planar):
     """An obstacle about the origin alone, of each decade."""
     for decade in decades(kind):
         for turn in TURNS:
-            scene = Scene(planar=planar)
-            assert scene.update('s', ['it'], shape(kind, decade, turn), stamp=1) == []
-            yield decade, scene
+            yield decade, refilled(shape(kind, decade, turn), planar)
 
 
 PLANAR = [(kind, True) for kind in ShapeKind]
@@ -69,18 +67,13 @@ def test_points_and_shapes_at_the_same_place(kind, planar):
     for decade, scene in scenes(kind, planar):
         for other in ShapeKind:
             for size in decades(other):
-                assert len(scene.overlap_shape(shape(other, size, TURNS[0]))) == 1, (
-                    decade,
-                    other,
-                    size,
-                )
+                touched = scene.overlap_shape(shape(other, size, TURNS[0]))
+                assert len(touched) == 1, (decade, other, size)
         for place in ([0.0, 0.0, 0.0], [0.2 * 10.0**decade, 0.0, 0.0]):
             assert len(scene.overlap(place, place)) == 1, decade
             assert scene.nearest(place)[0].t <= 1e-12 * 10.0**decade, decade
         for away in DECADES:
             far = 10.0**away
             if away > decade + 1:
-                assert 0.8 * far <= scene.nearest([far, 0, 0])[0].t <= far * (1 + 1e-12), (
-                    decade,
-                    away,
-                )
+                t = scene.nearest([far, 0, 0])[0].t
+                assert 0.8 * far <= t <= far * (1 + 1e-12), (decade, away)

@@ -5,8 +5,9 @@
 import numpy as np
 import pytest
 from scene.inside import store_of
+from scene.reference import scene_of
 
-from bvh_ros.scene import NO_NODE, Scene, Shapes
+from bvh_ros.scene import NO_NODE, Shapes
 from bvh_ros.scene.cast import batch
 from bvh_ros.scene.distance.distances import Distances
 
@@ -16,10 +17,10 @@ TURNED = 0.0, 0.0, 0.6, 0.8
 
 def row_of_boxes(turn=None):
     """Boxes every 3 m along x, and a snapshot of them."""
-    scene, x = Scene(), 3.0 * np.arange(1.0, 21.0)
+    x = 3.0 * np.arange(1.0, 21.0)
     places = np.stack([x, 0.0 * x, 0.0 * x], axis=1)
     shapes = Shapes.boxes(places, [1.0, 1.0, 1.0], None if turn is None else [turn] * 20)
-    scene.update('test', [str(i) for i in range(20)], shapes, stamp=1)
+    scene = scene_of(shapes)
     scene.raycast_many(np.zeros((99, 3)), np.ones((99, 3)), radius=0.1, t_max=1.0)
     assert store_of(scene).tree.ready_snapshot() is not None
     return scene

@@ -6,6 +6,7 @@ predicted, asked with so much more of a reach each.
 
 import numpy as np
 import pytest
+from scene.reference import scene_of
 from scene.test_then import COUNT, NOW, SECOND, Moving
 
 from bvh_ros.scene import Scene, ShapeKind, Shapes
@@ -17,26 +18,27 @@ RATE = 0.4  # m/s
 
 
 class Growing(Moving):
-    """A scene of obstacles that move and grow."""
+    """A scene of obstacles that move and grow, at a rate of metres a second."""
 
-    def __init__(self, rng, planar, max_prediction):
+    def __init__(self, rng, planar, max_prediction, rate=RATE):
         super().__init__(rng, planar, max_prediction)
-        self.scene = Scene(planar=planar, max_prediction=max_prediction, uncertainty=RATE)
+        self.scene = Scene(planar=planar, max_prediction=max_prediction, uncertainty=rate)
+        self.rate = rate
         self._tell(self.scene, np.zeros((COUNT + 1, 3)), self.speeds)
         axes = slice(2 if planar else 3)
         self.moves = self.speeds[:, axes].any(axis=1)
 
     def growth(self, time):
         """Of each obstacle, by name."""
-        grown = np.where(self.moves, RATE * np.abs(time - self.stamps) / SECOND, 0.0)
+        grown = np.where(self.moves, self.rate * np.abs(time - self.stamps) / SECOND, 0.0)
         return dict(zip(self.names, grown, strict=True))
 
 
-def worlds():
+def worlds(rate=RATE):
     rng = np.random.default_rng(21)
     for planar in (False, True):
         for most in (np.inf, 0.7):
-            growing = Growing(rng, planar, most)
+            growing = Growing(rng, planar, most, rate)
             for _ in range(6):
                 yield rng, growing, NOW + int(rng.integers(-2 * SECOND, 4 * SECOND))
 
@@ -108,9 +110,10 @@ def test_clearances_are_those_of_what_has_grown():
                 assert one.distance == pytest.approx(gap, abs=1e-9)
 
 
-def test_rays_and_balls_never_miss_what_has_grown():
-    for rng, growing, time in worlds():
-        scene = growing.scene
+@pytest.mark.parametrize('rate', [0.0, RATE])
+def test_rays_and_balls_never_miss_what_has_grown(rate):
+    for rng, growing, time in worlds(rate):
+        scene, axes = growing.scene, slice(2 if growing.planar else 3)
         start, goal = rng.uniform(-9, 9, (2, 3))
         until = time + int(rng.integers(0, 2 * SECOND))
         for radius in (0.0, 0.3):
@@ -138,6 +141,8 @@ def test_rays_and_balls_never_miss_what_has_grown():
                 near = {h.name: h for h in growing.at(then).nearest(place, COUNT + 1)}[hit.name]
                 most = radius + max(last[hit.name], growing.growth(time)[hit.name])
                 assert near.t == pytest.approx(most, abs=1e-6) or (hit.t == 0 and near.t < most)
+                assert np.linalg.norm((hit.point - place)[axes]) < most + 1e-6
+            assert [hit.t for hit in hits] == sorted(met.values())
             first = scene.raycast(start, goal, radius, at=time, until=until)
             many = scene.sweep_many([start] * 2, [goal] * 2, radius, at=time, until=until)
             assert ([first.t] * 2 if first else [np.inf] * 2) == many.t.tolist()
@@ -180,23 +185,14 @@ def test_who_begins_within_what_has_grown_is_there(planar, most):
     assert seen == {(True, 0.0), (True, 0.6), (False, 0.6)}
 
 
-def test_who_stands_among_who_moves_does_not_grow():
-    scene, boxes = Scene(uncertainty=3.0), Shapes.boxes([[0, 4, 0], [0, 50, 0]], [1, 1, 1])
-    scene.update('s', ['stands', 'goes'], boxes, stamp=NOW, velocities=[[0, 0, 0], [1, 0, 0]])
-    for at in (NOW, NOW + SECOND):
-        assert scene.overlap([-1, -1, -1], [1, 1, 1], at=at) == []
-        assert scene.overlap_many([[0, 0, 0]], [2, 2, 2], want='count', at=at) == [0]
-
-
 def test_what_does_not_grow_and_what_is_refused():
     for wrong in (-1.0, np.nan, np.inf):
         with pytest.raises(ValueError, match='uncertainty'):
             Scene(uncertainty=wrong)
-    scene = Scene(uncertainty=1.0)
-    boxes = Shapes.boxes([[5, 0, 0], [0, 5, 0]], [1, 1, 1])
-    scene.update('s', ['goes', 'stays'], boxes, stamp=NOW, velocities=[[0, 0, 1], [0, 0, 0]])
+    boxes, speeds = Shapes.boxes([[5, 0, 0], [0, 5, 0]], [1, 1, 1]), [[0, 0, 1], [0, 0, 0]]
+    scene = scene_of(boxes, stamp=NOW, velocities=speeds, uncertainty=1.0)
     later = NOW + 2 * SECOND
-    assert {h.name: h.t for h in scene.nearest([0, 0, 2], 2, at=later)}['goes'] == 2.5
+    assert {h.name: h.t for h in scene.nearest([0, 0, 2], 2, at=later)}['0'] == 2.5
     assert scene.nearest([0, 3, 0], at=later)[0].t == 1.5
     assert scene.nearest([5, 0, 3])[0].t == 2.5  # as last told
     assert scene.nearest([5, 0, 3], at=NOW)[0].t == 2.5
@@ -209,9 +205,8 @@ def test_what_does_not_grow_and_what_is_refused():
 @pytest.mark.parametrize('rate', [1e290, 1e300, 1e308])
 def test_who_may_be_anywhere_is_met_everywhere(rate, kind):
     """Also where a growth is beyond the doubles."""
-    scene = Scene(uncertainty=rate)
-    shape = Shapes.boxes([[50, 0, 0]], [1, 1, 1])._replace(kind=np.array([kind], np.uint8))
-    scene.update('s', ['goes'], shape, stamp=NOW, velocities=[[1e-9, 0, 0]])
+    shape = Shapes([kind], [[50, 0, 0]], [0, 0, 0, 1], 1)
+    scene = scene_of(shape, stamp=NOW, velocities=[[1e-9, 0, 0]], uncertainty=rate)
     start, goal, at = [0, 0, 0], [9, 0, 0], NOW + 10**9 * SECOND
     for radius in (0.0, 0.2):
         for until in (None, at + SECOND):

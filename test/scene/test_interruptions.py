@@ -97,7 +97,8 @@ def check_refusal(scene):
     assert len(state(scene)[0]) == COUNT
 
 
-@pytest.mark.parametrize('planar', [False, True])
+# What a plane changes is in kernels, which are not interrupted.
+@pytest.mark.parametrize('planar', [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_at_every_bytecode(planar):
     old = state(some_scene(planar))
     for name, change in CHANGES.items():

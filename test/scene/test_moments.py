@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 import pytest
+from scene.reference import changed, scene_of
 from scene.test_then import some_shapes
 
 from bvh_ros.scene import NO_NODE, NodeScene, Numbered, Part, ShapeKind, Shapes
@@ -18,9 +19,7 @@ Random = np.random.Generator
 
 
 def alone(shapes: Shapes, row: int, planar: bool) -> NodeScene:
-    scene = NodeScene(planar=planar)
-    scene.update('s', ['one'], shapes.take(np.array([row])), stamp=0)
-    return scene
+    return scene_of(shapes.take(np.array([row])), planar=planar, names=['one'], stamp=0)
 
 
 @pytest.mark.slow
@@ -28,10 +27,10 @@ def alone(shapes: Shapes, row: int, planar: bool) -> NodeScene:
 def test_each_obstacle_is_met_as_it_sees_the_ray(planar: bool):
     rng, count = np.random.default_rng(7), 16
     shapes = some_shapes(rng, count)
-    scene, names = NodeScene(planar=planar), [f'o{i}' for i in range(count)]
+    names = [f'o{i}' for i in range(count)]
     velocities = rng.normal(size=(count, 3)) * (rng.random((count, 1)) < 0.8) * [3, 3, 0.5]
     stamps = NOW + rng.integers(0, SECOND, count)
-    assert not scene.update('s', names, shapes, stamp=stamps, velocities=velocities)
+    scene = scene_of(shapes, planar=planar, names=names, stamp=stamps, velocities=velocities)
     each = [alone(shapes, row, planar) for row in range(count)]
     for number in range(40):
         start, goal = rng.uniform(-9, 9, (2, 3))
@@ -91,11 +90,11 @@ def test_the_world_as_last_told_and_at_rest():
 
 def test_updates_in_slices_keep_velocities(set_slices):
     set_slices(20, 7)
-    scene, count = NodeScene(), 50
+    count = 50
     boxes = Shapes.boxes(10.0 * np.arange(3.0 * count).reshape(count, 3), [1, 1, 1])
     names, speeds = Numbered('b#', np.arange(count)), np.full((count, 3), 2.0)
-    scene.update('s', names, boxes, stamp=NOW, velocities=speeds)
-    moved = boxes._replace(position=boxes.position + 5.0)
+    scene = scene_of(boxes, names=names, source='s', of=NodeScene, stamp=NOW, velocities=speeds)
+    moved = changed(boxes, position=boxes.position + 5.0)
     part, seen = Part(names, moved, NOW + SECOND, velocities=-speeds), []
     for _ in scene.in_slices('s', '', count, part.cut, whole=True):
         # Where the first one was told to go before, and where it is now.
@@ -139,9 +138,8 @@ def test_what_is_refused():
 
 @pytest.mark.parametrize('radius', [0.0, 0.3])
 def test_nobody_is_met_where_all_that_moved_have_gone(radius: float):
-    scene = NodeScene()
     box = Shapes.boxes([[5, 0, 0]], [1, 1, 1])
-    scene.update('s', ['car'], box, stamp=NOW, velocities=[[1, 0, 0]])
+    scene = scene_of(box, names=['car'], source='s', stamp=NOW, velocities=[[1, 0, 0]])
     assert scene.remove('s', ['car']) == 1
     ways, later = ([[0, 0, 0]] * 3, [[9, 0, 0]] * 3), NOW + SECOND
     for until in (None, later):
@@ -197,9 +195,8 @@ def test_a_scene_tells_exactly_who_is_met_first():
     sizes = np.full((3, 3), 2.0)
     places = np.array([[2.0, 0, 0], [2.0, 0, 0], [0, 9.0, 0]])
     shapes = Shapes(np.array([BOX, BOX, SPHERE], np.uint8), places, [0, 0, 0, 1], sizes)
-    scene = NodeScene()
     slow = np.array([[0, 0, 0], [-1e-20, 0, 0], [0, 0, 0]])
-    scene.update('s', ['rests', 'comes', 'a ball'], shapes, stamp=0, velocities=slow)
+    scene = scene_of(shapes, names=['rests', 'comes', 'a ball'], stamp=0, velocities=slow)
     hits = scene.raycast_all([0, 0, 0], [4, 0, 0], at=0, until=10**9)
     assert [hit.name for hit in hits] == ['comes', 'rests']
     assert hits[0].t == hits[1].t == 0.25

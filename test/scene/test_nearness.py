@@ -6,8 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from scene.reference import geometry_arrays, random_shapes, scene_of
-from turns import unit_quaternions
+from scene.reference import changed, geometry_arrays, random_shapes, random_turns, scene_of
 
 from bvh_ros.scene import Scene, Shapes
 
@@ -24,8 +23,8 @@ def test_nearest_as_brute_force(planar, margin):
     rng = np.random.default_rng([3, planar])
     shapes = random_shapes(rng, 60)
     masks = rng.integers(1, 4, 60)
-    scene, world = Scene(planar=planar, margin=margin), geometry_arrays(shapes)
-    scene.update('test', [str(i) for i in range(60)], shapes, stamp=1, categories=masks)
+    world = geometry_arrays(shapes)
+    scene = scene_of(shapes, planar=planar, categories=masks, margin=margin)
     inside = 0
     for _ in range(40):
         point = rng.uniform(-7, 7, 3) if rng.random() < 0.8 else world[rng.integers(60)].position
@@ -53,18 +52,16 @@ def test_a_loose_box_does_not_hide_what_is_nearer():
     count = 40
     turn = np.tile([0, 0, math.sin(math.pi / 8), math.cos(math.pi / 8)], (count, 1))
     places = np.stack([np.linspace(3, 4, count), np.linspace(-3, -4, count), np.zeros(count)], 1)
-    scene = Scene()
     bars = Shapes.boxes(places, [20, 0.1, 0.1], turn)
-    scene.update('test', [f'bar{i}' for i in range(count)], bars, stamp=1)
+    scene = scene_of(bars, names=[f'bar{i}' for i in range(count)])
     scene.update('test', ['ball'], Shapes.boxes([[0, 2, 0]], [1, 1, 1]), stamp=1)
     assert [hit.name for hit in scene.nearest([0, 0, 0])] == ['ball']
     assert [hit.name for hit in scene.nearest([0, 0, 0], 2)] == ['ball', 'bar0']
 
 
 def test_ties_go_to_the_older():
-    scene = Scene()
     shapes = Shapes.boxes([[2, 0, 0], [-2, 0, 0], [0, 2, 0], [0, 0, 2]], [1, 1, 1])
-    scene.update('test', ['d', 'c', 'b', 'a'], shapes, stamp=1)
+    scene = scene_of(shapes, names=['d', 'c', 'b', 'a'])
     for k in range(1, 5):
         assert [hit.name for hit in scene.nearest([0, 0, 0], k)] == ['d', 'c', 'b', 'a'][:k]
     assert [hit.t for hit in scene.nearest([0, 0, 0], 9, 1.5)] == [1.5] * 4
@@ -77,10 +74,8 @@ def test_far_from_the_origin_distances_keep_their_digits():
     rng = np.random.default_rng(12)
     shapes = random_shapes(rng, 40, 2.0)
     places = np.round(shapes.position * 2.0**36) * 2.0**-36
-    turned = shapes._replace(
-        position=places, orientation=unit_quaternions(rng.normal(size=(40, 4)))
-    )
-    near, far = scene_of(turned), scene_of(turned._replace(position=places + 8192.0))
+    turned = changed(shapes, position=places, orientation=random_turns(rng, 40))
+    near, far = scene_of(turned), scene_of(changed(turned, position=places + 8192.0))
     for point in np.round(rng.uniform(-3, 3, (60, 3)) * 2.0**36) * 2.0**-36:
         here, there = near.nearest(point, 5), far.nearest(point + 8192.0, 5)
         assert [hit.name for hit in here] == [hit.name for hit in there]

@@ -6,10 +6,11 @@ answer: what is kept from one to the next is nobody else's meanwhile.
 
 import numpy as np
 import pytest
+from scene.reference import scene_of
 from tree.interrupting import at_each_bytecode
 from tree.reference import effort
 
-from bvh_ros.scene import Scene, Shapes
+from bvh_ros.scene import Shapes
 
 HALF_A_SECOND = 500_000_000
 QUESTIONS = {
@@ -52,10 +53,9 @@ def asked_within(outer, inner):
 @pytest.mark.parametrize('kind', QUESTIONS)
 def test_a_question_within_another(kind, at):
     rng = np.random.default_rng(8)
-    scene = Scene()
     boxes = Shapes.boxes(rng.uniform(0, 9, (200, 3)), rng.uniform(1, 2, (200, 3)))
     names = [str(i) for i in range(200)]
-    scene.update('test', names, boxes, stamp=0, velocities=rng.normal(size=(200, 3)))
+    scene = scene_of(boxes, names=names, stamp=0, velocities=rng.normal(size=(200, 3)))
 
     def ask(x):
         return told(QUESTIONS[kind](scene, at, np.full(3, x)))

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from scene.reference import random_shapes
+from scene.reference import random_shapes, scene_of
 from scipy.spatial.transform import Rotation
 
-from bvh_ros.scene import Scene, ShapeKind, Shapes
+from bvh_ros.scene import ShapeKind, Shapes
 
 lattice = st.integers(-6, 6).map(lambda i: i * 0.1)
 points = st.tuples(lattice, lattice, lattice)
@@ -29,10 +29,7 @@ points = st.tuples(lattice, lattice, lattice)
 )
 def test_aligned_boxes_are_decided_as_real_arithmetic_does(boxes, start, goal, tolerance):
     position, size = np.array([b[0] for b in boxes]), np.array([b[1] for b in boxes])
-    scene = Scene()
-    scene.update(
-        'test', [str(i) for i in range(len(boxes))], Shapes.boxes(position, size), stamp=1
-    )
+    scene = scene_of(Shapes.boxes(position, size))
     expected = []
     for i, (lo, hi) in enumerate(zip(position - size / 2, position + size / 2, strict=True)):
         square = Fraction(0)
@@ -73,8 +70,7 @@ def unit(orientation):
 def test_turned_boxes_overlap_as_python_fcl_says(tolerance):
     rng = np.random.default_rng(11)
     shapes = random_shapes(rng, 300, reach=4.0)
-    scene = Scene()
-    scene.update('test', [str(i) for i in range(300)], shapes, stamp=1)
+    scene = scene_of(shapes)
     objects = [as_fcl(ShapeKind(k), p, unit(q), s) for k, p, q, s in zip(*shapes[:4], strict=True)]
     touching = 0
     for _ in range(40):

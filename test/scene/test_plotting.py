@@ -4,6 +4,8 @@
 
 import numpy as np
 import pytest
+from scene.meshes import TETRAHEDRON
+from scene.reference import changed, scene_of
 from scipy.spatial.transform import Rotation
 
 from bvh_ros.scene import Mesh, NodeScene, ShapeKind, Shapes, inspection
@@ -15,18 +17,16 @@ SIZES = {
     ShapeKind.CYLINDER: (1.0, 1.0, 3.0),
     ShapeKind.CAPSULE: (1.0, 1.0, 3.0),
 }
-CORNERS = np.vstack((np.zeros(3), np.eye(3)))
-TETRAHEDRON = Mesh([np.delete(CORNERS, corner, axis=0) for corner in range(4)])
 
 
 def shapes_of(kind):
     place, turn = [(5.0, -3.0, 1.0)], [TURN]
     if kind == ShapeKind.MESH:
-        return Shapes.of_meshes([TETRAHEDRON], place, turn)
-    return Shapes.boxes(place, SIZES[kind], turn)._replace(kind=np.array([kind], np.uint8))
+        return Shapes.of_meshes([Mesh(TETRAHEDRON)], place, turn)
+    return Shapes([kind], place, turn, SIZES[kind])
 
 
-def scene_of(kind, **given):
+def scene_with(kind, **given):
     scene = NodeScene(**given)
     assert scene.update('us', ['it'], shapes_of(kind), stamp=0) == []
     return scene
@@ -34,7 +34,7 @@ def scene_of(kind, **given):
 
 @pytest.mark.parametrize('kind', ShapeKind)
 def test_a_surface_fills_the_bounds_of_its_shape_and_faces_outwards(kind):
-    scene = scene_of(kind)
+    scene = scene_with(kind)
     (surface,) = inspection.surfaces(scene.shapes_of('us', 9))
     lo, hi = scene.bounds
     coarse = 0.0 if kind in (ShapeKind.BOX, ShapeKind.MESH) else 0.03  # round ones have corners
@@ -50,7 +50,7 @@ def test_a_surface_fills_the_bounds_of_its_shape_and_faces_outwards(kind):
 def test_a_surface_is_closed(kind):
     """Every way out of it from its middle goes through one of its faces."""
     (surface,) = inspection.surfaces(
-        shapes_of(kind)._replace(orientation=np.array([(0, 0, 0, 1.0)]))
+        changed(shapes_of(kind), orientation=np.array([(0, 0, 0, 1.0)]))
     )
     ways = np.random.default_rng(5).normal(size=(200, 3))
     middle = surface.mean(axis=(0, 1))
@@ -67,10 +67,8 @@ def test_a_surface_is_closed(kind):
 
 @pytest.mark.parametrize('kind', ShapeKind)
 @pytest.mark.parametrize('planar', [False, True])
-def test_every_shape_is_drawn(kind, planar):
-    pyplot = pytest.importorskip('matplotlib.pyplot', reason='matplotlib is not installed')
-    pyplot.switch_backend('agg')
-    scene = scene_of(kind, planar=planar)
+def test_every_shape_is_drawn(pyplot, kind, planar):
+    scene = scene_with(kind, planar=planar)
     axes = scene.plot(levels=0)
     assert len(axes.collections) == 2
     assert all(one.get_clip_on() == planar for one in axes.collections)
@@ -79,30 +77,23 @@ def test_every_shape_is_drawn(kind, planar):
     if planar:
         (outline,) = axes.collections[0].get_paths()
         np.testing.assert_allclose(outline.vertices.max(axis=0), hi, atol=0.03)
-    pyplot.close('all')
 
 
 @pytest.mark.parametrize('unit', [1e-12, 1.0, 1e12])
-def test_a_picture_is_as_large_as_the_world(unit):
-    pyplot = pytest.importorskip('matplotlib.pyplot', reason='matplotlib is not installed')
-    pyplot.switch_backend('agg')
-    scene = NodeScene()
-    scene.update('us', ['it'], Shapes.boxes([(0.0, 0.0, 0.0)], 2.0 * unit), stamp=0)
+def test_a_picture_is_as_large_as_the_world(pyplot, unit):
+    scene = scene_of(Shapes.boxes([(0.0, 0.0, 0.0)], 2.0 * unit))
     lo, hi = scene.plot().get_xlim()
     assert 1.0 < hi / unit < 1.1
     assert -1.1 < lo / unit < -1.0
-    pyplot.close('all')
 
 
 FOLD = Mesh([[(2, 0, 0), (3, 0, 0), (3, 1, 1)], [(2, 0, 0), (3, 1, 1), (2, 1, 0)]])
 
 
-def test_the_triangle_that_a_ray_meets_is_outlined():
-    pyplot = pytest.importorskip('matplotlib.pyplot', reason='matplotlib is not installed')
-    pyplot.switch_backend('agg')
-    scene, turn = NodeScene(), Rotation.from_quat(TURN)
+def test_the_triangle_that_a_ray_meets_is_outlined(pyplot):
+    turn = Rotation.from_quat(TURN)
     place = np.array((5.0, -3.0, 1.0))
-    scene.update('us', ['it'], Shapes.of_meshes(FOLD, [place], TURN), stamp=0)
+    scene = scene_of(Shapes.of_meshes(FOLD, [place], TURN), names=['it'], of=NodeScene, stamp=0)
     middle = turn.apply(np.array((2.3, 0.7, 0.3))) + place
     along = turn.apply((0.0, 0.0, 4.0))
     axes = scene.plot(rays=[[middle + along, middle - along]])
@@ -111,14 +102,12 @@ def test_the_triangle_that_a_ray_meets_is_outlined():
     np.testing.assert_allclose(axes.collections[-1]._segments3d, edges, atol=1e-12)
     free = scene.plot(rays=[[middle + along, middle + 2.0 * along]])
     assert len(free.collections) == len(axes.collections) - 1
-    pyplot.close('all')
 
 
 @pytest.mark.parametrize('kind', [*ShapeKind, FOLD])
 def test_the_box_around_an_obstacle_is_tight(kind):
-    scene = NodeScene()
     shapes = Shapes.of_meshes(FOLD, [(5, -3, 1)], TURN) if kind is FOLD else shapes_of(kind)
-    scene.update('us', ['it'], shapes, stamp=0)
+    scene = scene_of(shapes, names=['it'], source='us', of=NodeScene, stamp=0)
     (surface,) = inspection.surfaces(scene.shapes_of('us', 9))
     middle, orientation, size = scene.own_box('it')
     local = Rotation.from_quat(orientation).inv().apply(surface.reshape(-1, 3) - middle)

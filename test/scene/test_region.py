@@ -16,9 +16,8 @@ def shapes_at(rng, count):
     """Half boxes, half balls, some that touch the region's faces exactly."""
     places = rng.integers(-8, 9, (count, 3)).astype(float)
     places[::3] += rng.uniform(-1, 1, places[::3].shape)
-    boxes = Shapes.boxes(places, [2.0, 2.0, 2.0])
     kinds = ShapeKind.BOX, ShapeKind.SPHERE
-    return boxes._replace(kind=rng.choice(kinds, count).astype(np.uint8))
+    return Shapes(rng.choice(kinds, count), places, [0, 0, 0, 1], 2.0)
 
 
 def expected(everything, lo, hi):

@@ -10,51 +10,15 @@ import sys
 import numpy as np
 import pytest
 from scene.inside import store_of
+from scene.reference import changed, scene_of
 
-from bvh_ros.scene import NodeScene, Numbered, Scene, Shapes, unchecked_shapes
+from bvh_ros.scene import NodeScene, Numbered, Shapes
 
 BOX = Shapes.boxes([[0, 0, 0]], [1, 1, 1])
 
 
-def shape(kind=0, position=(0, 0, 0), orientation=(0, 0, 0, 1), size=(1, 1, 1)):
-    return unchecked_shapes(
-        np.array([kind]), *(np.array([part], float) for part in (position, orientation, size))
-    )
-
-
-@pytest.mark.parametrize(
-    ('bad', 'words'),
-    [
-        (shape(position=(0, np.nan, 0)), 'position is not finite'),
-        (shape(position=(0, 0, -np.inf)), 'position is not finite'),
-        (shape(orientation=(0, 0, np.nan, 1)), 'orientation is not finite'),
-        (shape(size=(1, np.inf, 1)), 'size is not finite'),
-        (shape(size=(1, -1e-9, 1)), 'size is negative'),
-        (shape(kind=9), 'none of BOX, SPHERE, CYLINDER, CAPSULE and MESH'),
-        (shape(kind=1, size=(1, 1, 1.5)), 'sphere must be equal'),
-        (shape(kind=2, size=(1, 1.5, 1)), 'cylinder or capsule along x and y must be equal'),
-        (shape(kind=1, size=(0, 0, 0)), 'above zero'),
-        (shape(kind=2, size=(1, 1, 0)), 'above zero'),
-        (shape(kind=3, size=(1, 1, 0.9)), 'at least as long'),
-        (shape(position=(1.7e308, 0, 0), size=(1e308, 1, 1)), 'exceed the largest double'),
-    ],
-)
-def test_a_bad_row_is_refused_and_keeps_the_old_obstacle(bad, words):
-    scene = NodeScene()
-    assert scene.update('test', ['x'], BOX, stamp=1) == []
-    (refusal,) = scene.update('test', ['x'], bad, stamp=2)
-    assert (refusal.row, refusal.name) == (0, 'x')
-    assert words in refusal.reason
-    assert scene.get('x').stamp == 1
-    assert scene.newest == 1
-    (refusal,) = scene.replace('test', '', ['x'], bad, stamp=3)
-    assert scene.get('x').stamp == 1
-    assert scene.newest == 3
-
-
 def test_a_refusal_names_the_owner_and_good_rows_are_applied():
-    scene = NodeScene()
-    scene.update('lidar', ['x'], BOX, stamp=1)
+    scene = scene_of(BOX, names=['x'], source='lidar', of=NodeScene)
     two = Shapes.boxes([[5, 0, 0], [6, 0, 0]], [1, 1, 1])
     (refusal,) = scene.update('camera', ['x', 'y'], two, stamp=2)
     assert refusal == (0, 'x', "its name belongs to the source 'lidar'")
@@ -67,22 +31,18 @@ def test_a_refusal_names_the_owner_and_good_rows_are_applied():
 
 
 def test_flat_boxes_are_obstacles():
-    scene = NodeScene()
     flat = Shapes.boxes([[1, 0, 0], [2, 0, 0]], [0, 1, 1], [[0, 0, 0, 1], [0, 0, 0.1, 1]])
-    assert scene.update('test', ['wall', 'turned'], flat, stamp=1) == []
+    scene = scene_of(flat, names=['wall', 'turned'], of=NodeScene)
     assert [hit.name for hit in scene.raycast_all([0, 0, 0], [3, 0, 0])] == ['wall', 'turned']
     assert {hit.name for hit in scene.overlap([0, 0, 0], [3, 0, 0])} == {'wall', 'turned'}
 
 
 def test_a_scene_is_copied_but_neither_pickled_nor_shared():
-    scene = NodeScene()
-    scene.update('test', ['x'], BOX, stamp=1)
+    scene = scene_of(BOX, names=['x'], of=NodeScene)
     other = copy.deepcopy(scene)
     scene.clear()
-    assert (len(scene), [hit.name for hit in other.raycast_all((0, 0, 0), (1, 0, 0))]) == (
-        0,
-        ['x'],
-    )
+    assert len(scene) == 0
+    assert [hit.name for hit in other.raycast_all((0, 0, 0), (1, 0, 0))] == ['x']
     for share in (copy.copy, pickle.dumps):
         with pytest.raises(TypeError, match=r'copy\(\)'):
             share(scene)
@@ -127,9 +87,8 @@ assert 'fcl' not in sys.modules
 
 
 def test_validation_in_turns_sees_what_there_was_and_finds_as_much():
-    scene = NodeScene()
     shapes = Shapes.boxes(np.random.default_rng(1).uniform(0, 9, (60, 3)), [1, 1, 1])
-    scene.update('s', Numbered('c#', np.arange(60)), shapes, stamp=1)
+    scene = scene_of(shapes, names=Numbered('c#', np.arange(60)), source='s', of=NodeScene)
     for turn, _ in enumerate(scene.validate_in_turns()):
         scene.update('s', [f'new {turn}'], shapes.take([0]), stamp=2)
     assert len(scene) > 60
@@ -139,14 +98,14 @@ def test_validation_in_turns_sees_what_there_was_and_finds_as_much():
 
 
 def test_memory_for_new_obstacles_is_asked_for_before_anything_changes(monkeypatch):
-    scene, box = NodeScene(), Shapes.boxes([[0, 0, 0]], [1, 1, 1])
-    scene.update('s', ['a'], box, stamp=1)
+    box = Shapes.boxes([[0, 0, 0]], [1, 1, 1])
+    scene = scene_of(box, names=['a'], source='s', of=NodeScene)
 
     def refuse(updates, rows):
         raise MemoryError
 
     monkeypatch.setattr('bvh_ros.scene.updates.Updates.require_memory', refuse)
-    assert not scene.update('s', ['a'], box._replace(position=np.ones((1, 3))), stamp=2)
+    assert not scene.update('s', ['a'], changed(box, position=np.ones((1, 3))), stamp=2)
     with pytest.raises(MemoryError):
         scene.update('s', ['b'], box, stamp=3)
     assert (scene.interrupted, scene.newest, len(scene)) == (False, 2, 1)
@@ -154,9 +113,8 @@ def test_memory_for_new_obstacles_is_asked_for_before_anything_changes(monkeypat
 
 
 def test_an_aligned_box_in_the_place_of_a_turned_one():
-    scene = NodeScene(planar=True)
     turned = Shapes.boxes([[0, 0, 0], [9, 0, 0]], [4, 1, 1], [[0.0, 0.0, 0.3, 0.95]] * 2)
-    scene.update('a', ['gone', 'stays'], turned, stamp=1)
+    scene = scene_of(turned, planar=True, names=['gone', 'stays'], source='a', of=NodeScene)
     scene.remove('a', ['gone'])
     scene.update('a', ['new'], Shapes.boxes([[0, 0, 0]], [4, 1, 1]), stamp=2)
     assert scene.any_shaped
@@ -167,8 +125,7 @@ def test_an_aligned_box_in_the_place_of_a_turned_one():
 
 
 def test_names_of_handles_of_any_shape():
-    scene = Scene()
-    scene.update('s', ['a', 'b'], Shapes.boxes([[0, 0, 0], [5, 0, 0]], [1, 1, 1]), stamp=0)
+    scene = scene_of(Shapes.boxes([[0, 0, 0], [5, 0, 0]], [1, 1, 1]), names=['a', 'b'])
     hits = scene.raycast_many(
         [[-9, 0, 0], [-9, 9, 0], [9, 0, 0]], [[1, 0, 0], [1, 0, 0], [-1, 0, 0]]
     )
@@ -179,6 +136,6 @@ def test_names_of_handles_of_any_shape():
     assert scene.clearance_many(Shapes.boxes([[0, 3, 0]], [1, 1, 1])).distances.tolist() == [2.0]
     assert scene.names_of([]).shape == (0,)
     assert scene.names_of(hits.handles[0]).item() == 'a'
-    scene.remove('s', ['a'])
+    scene.remove('test', ['a'])
     with pytest.raises(KeyError, match=str(hits.handles[0])):
         scene.names_of(hits.handles)

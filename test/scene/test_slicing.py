@@ -6,6 +6,7 @@ import itertools
 
 import numpy as np
 import pytest
+from scene.reference import changed, scene_of
 
 from bvh_ros.scene import NodeScene, Numbered, Part, ShapeKind, Shapes, unchecked_shapes
 
@@ -115,7 +116,7 @@ def test_too_many_are_refused_as_at_once():
     for old, new, most in ((50, 70, 60), (60, 60, 60), (60, 5, 60), (30, 0, 40), (5, 90, 7)) * 3:
         sliced, at_once = NodeScene(max_obstacles=most), NodeScene(max_obstacles=most)
         shapes = Shapes.boxes(random.uniform(0, 9, (100, 3)), [1, 1, 1])
-        shapes = shapes._replace(size=shapes.size.copy())
+        shapes = changed(shapes, size=shapes.size.copy())
         shapes.size[random.random(100) < 0.1] = np.nan
         names = Numbered('c#', np.sort(random.permutation(100)[:new]))
         part = Part(names, shapes.take(slice(new)), random.integers(5, 9, new))
@@ -139,9 +140,8 @@ def test_too_many_are_refused_as_at_once():
 
 
 def test_few_rows_in_place_of_very_many_take_many_turns():
-    scene = NodeScene()
     shapes = Shapes.boxes(np.random.default_rng(1).uniform(0, 9, (60, 3)), [1, 1, 1])
-    scene.update('s', Numbered('c#', np.arange(60)), shapes, stamp=1)
+    scene = scene_of(shapes, names=Numbered('c#', np.arange(60)), source='s', of=NodeScene)
     part = Part(Numbered('d#', np.arange(2)), shapes.take(slice(2)), 2)
     left = [len(scene) for _ in scene.in_slices('s', '', 2, part.cut, whole=True)]
     assert max(np.abs(np.diff(left))) <= SLICE

@@ -6,6 +6,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scene.meshes import TETRAHEDRON
+from scene.reference import changed, scene_of
 from turns import unit_quaternions
 
 from bvh_ros.scene import Mesh, Scene, ShapeKind, Shapes
@@ -15,8 +17,6 @@ BOX, SPHERE, CYLINDER, *_ = ShapeKind
 SECOND = 1_000_000_000
 NOW = 1_790_000_000 * SECOND
 
-CORNERS = np.array([[0, 0, 0], [2, 0, 0], [0, 2, 0], [0, 0, 1.0]])
-FACES = [np.delete(CORNERS, corner, axis=0) for corner in range(4)]
 COUNT = 24
 
 
@@ -35,7 +35,9 @@ class Moving:
 
     def __init__(self, rng, planar, max_prediction=np.inf):
         shapes = some_shapes(rng, COUNT)
-        mesh = Shapes.of_meshes([Mesh(FACES)], rng.uniform(-9, 9, (1, 3)), [[0, 0, 0.6, 0.8]])
+        mesh = Shapes.of_meshes(
+            [Mesh(TETRAHEDRON * (2, 2, 1))], rng.uniform(-9, 9, (1, 3)), [[0, 0, 0.6, 0.8]]
+        )
         self.shapes, self.mesh, self.planar = shapes, mesh, planar
         self.names = [*(f'o{i}' for i in range(COUNT)), 'mesh']
         self.speeds = rng.normal(size=(COUNT + 1, 3)) * (rng.random((COUNT + 1, 1)) < 0.8) * 3
@@ -50,7 +52,7 @@ class Moving:
             (self.names[:-1], self.shapes, slice(0, COUNT)),
             (self.names[-1:], self.mesh, slice(COUNT, None)),
         ):
-            placed = shapes._replace(position=shapes.position + gone[rows])
+            placed = changed(shapes, position=shapes.position + gone[rows])
             assert not scene.update(
                 's',
                 names,
@@ -93,7 +95,7 @@ def test_everything_is_as_where_all_stand_there(planar, most):
         box = start, goal, turn, reach, mask
         same_hits(scene.overlap(*box, at=time), there.overlap(*box))
         for shape in (moving.mesh, moving.shapes.take([number]), moving.shapes.take([2])):
-            placed = shape._replace(position=rng.uniform(-9, 9, (1, 3)))
+            placed = changed(shape, position=rng.uniform(-9, 9, (1, 3)))
             hits = scene.overlap_shape(placed, reach, mask, at=time)
             same_hits(hits, there.overlap_shape(placed, reach, mask))
         centers, sizes = rng.uniform(-9, 9, (9, 3)), rng.uniform(0, 5, (9, 3))
@@ -159,39 +161,6 @@ def test_a_dense_batch_is_answered_as_each_of_its_points(planar, most):
             assert np.isinf(distances[row, len(hits) :]).all()
 
 
-@pytest.mark.slow
-def test_who_drives_meets_where_they_stand_from_some_time_on():
-    rng, most = np.random.default_rng(12), 0.7
-    for planar in (False, True):
-        moving = Moving(rng, planar, most)
-        for number in range(30):
-            start, goal = rng.uniform(-9, 9, (2, 3))
-            at = NOW + int(rng.integers(-SECOND, 2 * SECOND))
-            until = at + int(rng.integers(0, 3 * SECOND))
-            radius = 0.4 * (number % 2)
-            hits = moving.scene.raycast_all(start, goal, radius, at=at, until=until)
-            met = {hit.name: hit.t for hit in hits}
-            assert [hit.t for hit in hits] == sorted(met.values())
-            # Standing where it is when it is met: there the ball touches, and not before.
-            for t in np.linspace(0.0, 1.0, 60):
-                time = at + round(t * (until - at))
-                there, place = moving.at(time), start + t * (goal - start)
-                touched = {hit.name for hit in there.overlap(place, place, tolerance=radius)}
-                assert touched <= {name for name, first in met.items() if first <= t + 1e-6}
-            for hit in hits:
-                there = moving.at(at + round(hit.t * (until - at)))
-                place = start + hit.t * (goal - start)
-                near = {h.name: h for h in there.nearest(place, COUNT + 1)}[hit.name]
-                assert near.t == pytest.approx(radius, abs=1e-6) or (
-                    near.t < radius and hit.t == 0
-                )
-                axes = slice(2 if planar else 3)
-                assert np.linalg.norm((hit.point - place)[axes]) < radius + 1e-6
-            ways = [start] * 2, [goal] * 2, radius
-            many = moving.scene.sweep_many(*ways, at=at, until=until)
-            assert many.t.tolist() == [hits[0].t if hits else np.inf] * 2
-
-
 def test_what_is_kept_of_a_world_goes_with_it():
     """One question after the other, while arrays grow and somebody goes."""
     scene, at, up = Scene(), NOW + SECOND, [0.0, 1.0, 0.0]
@@ -217,9 +186,9 @@ def test_what_is_kept_of_a_world_goes_with_it():
 def test_no_row_is_asked_at_no_time(at: Any):
     """Bounds are fitted to no time at the first question."""
     for ask in ('overlap_many', 'nearest_many', 'clearance_many'):
-        scene, none = Scene(), np.empty((0, 3))
+        none = np.empty((0, 3))
         boxes = Shapes.boxes([[0, 0, 0]], [1, 1, 1])
-        scene.update('a', ['one'], boxes, stamp=0, velocities=[[1.0, 0, 0]])
+        scene = scene_of(boxes, names=['one'], stamp=0, velocities=[[1.0, 0, 0]])
         asked = {
             'overlap_many': (none, [1, 1, 1]),
             'nearest_many': (none,),

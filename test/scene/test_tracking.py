@@ -7,6 +7,7 @@ import math
 import numpy as np
 import pytest
 from scene.inside import store_of
+from scene.reference import changed
 
 from bvh_ros.scene import NodeScene, Numbered, Part, Shapes
 from bvh_ros.scene.tracking import Tracks
@@ -139,7 +140,7 @@ def test_a_slot_that_another_one_has_now():
 def test_rows_whose_velocity_is_not_finite_are_refused():
     scene, boxes = NodeScene(), Shapes.boxes([[10, 0, 0], [20, 0, 0]], [1, 1, 1])
     scene.replace('s', '', ['a', 'b'], boxes, stamp=NOW, velocities=[[1, 0, 0]] * 2)
-    moved, speeds = boxes._replace(position=boxes.position + 1), [[np.nan, 0, 0], [2, 0, 0]]
+    moved, speeds = changed(boxes, position=boxes.position + 1), [[np.nan, 0, 0], [2, 0, 0]]
     refused = scene.replace('s', '', ['a', 'b'], moved, stamp=NOW + 1, velocities=speeds)
     assert refused == [(0, 'a', 'its velocity is not finite')]
     assert velocity(scene, 'a') == [1, 0, 0]

@@ -8,6 +8,7 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
+from scene.reference import scene_of
 from tree.reference import effort
 
 from bvh_ros.scene import Scene, ShapeKind, Shapes
@@ -71,17 +72,11 @@ class Crowd:
         start, goal = ([Fraction(x) for x in point.tolist()] for point in (start, goal))
         ways = [there - here for here, there in zip(start, goal, strict=True)]
         for i in range(len(self)):
-            enter, leave = Fraction(0), Fraction(1)
-            for here, way, begin, end in zip(
-                start, ways, self.place(i, at), self.place(i, until), strict=True
-            ):
-                gap, way = begin - here, way - end + begin
-                if way == 0 and abs(gap) > HALF:
-                    enter = Fraction(2)
-                elif way != 0:
-                    first, last = sorted(((gap - HALF) / way, (gap + HALF) / way))
-                    enter, leave = max(enter, first), min(leave, last)
-            if enter <= leave:
+            begin, end = self.place(i, at), self.place(i, until)
+            gaps = [x - y for x, y in zip(begin, start, strict=True)]
+            speeds = [way - y + x for way, x, y in zip(ways, begin, end, strict=True)]
+            enter = reach(gaps, speeds, 0, 1)
+            if enter is not None:
                 found[f'box{i}'] = enter
         return found
 
@@ -237,9 +232,9 @@ def test_copies_know_whole_nanoseconds_and_who_stands(most):
 @pytest.mark.parametrize('late', [-1, 0, 1])
 def test_who_stands_from_the_very_start_is_met_by_a_ball_that_begins_at_it(second, late):
     """It touches to the last digit, and goes into the box."""
-    stamp, scene = second * SECOND, Scene(max_prediction=1e-9)
+    stamp = second * SECOND
     first = Shapes.boxes([[500.0, 0, 0]], [1, 1, 1])
-    scene.update('s', ['first'], first, stamp=0, velocities=[[1.0, 0, 0]])
+    scene = scene_of(first, stamp=0, velocities=[[1.0, 0, 0]], max_prediction=1e-9)
     box = Shapes.boxes([[-5.5, -4.0, 1.0]], [[3.0, 2.5, 1.0]])
     scene.update('s', ['box'], box, stamp=stamp, velocities=[[-7.0, -3.0, -4.0]])
     start = np.array([-4.500000007, -3.500000003, 1.999999996])

@@ -159,33 +159,40 @@ def is_within_2_ulp(t: float, exact: Fraction) -> bool:
 
 
 def check_hit(
-    hit: RayHit, exact: ExactHit, lo: Floats, hi: Floats, ray: tuple[Floats, Floats]
+    hit: RayHit, exact: ExactHit, lo: Floats, hi: Floats, sweep: tuple[Floats, Floats, Floats]
 ) -> None:
-    """Check everything that is promised of one hit but its handle; lo and hi are of its box."""
-    origin, direction = ray
+    """Check everything that is promised of one hit but its handle; lo and hi are of the box that
+    is met; `sweep` is the corners of the swept box, and its way. A ray is a box whose corners are
+    its origin.
+    """
+    low, high, way = sweep
     normal = np.zeros(len(lo))
     if exact.axis != INSIDE:
-        normal[exact.axis] = -np.sign(direction[exact.axis])
+        normal[exact.axis] = -np.sign(way[exact.axis])
+        assert hit.point[exact.axis] == (lo if way[exact.axis] > 0 else hi)[exact.axis]
     assert hit.normal.tolist() == normal.tolist()
     assert is_within_2_ulp(hit.t, exact.t), (hit.t, float(exact.t))
     assert (lo <= hit.point).all()
     assert (hit.point <= hi).all()
     if exact.axis == INSIDE:
         assert hit.t == 0.0
-        assert hit.point.tolist() == origin.tolist()
-    else:
-        assert hit.point[exact.axis] == (lo if direction[exact.axis] > 0 else hi)[exact.axis]
-    if math.isfinite(hit.t):
-        _check_point(hit.point, exact.t, origin, direction)
+    if math.isinf(hit.t):
+        return
+    for axis in range(len(lo)):
+        if axis != exact.axis:
+            start = (Fraction(low[axis]) + Fraction(high[axis])) / 2
+            place = exact.t * Fraction(way[axis]) + start
+            place = min(max(place, Fraction(lo[axis])), Fraction(hi[axis]))
+            _check_coordinate(hit.point[axis], place, exact.t, start, Fraction(way[axis]))
 
 
-def _check_point(point: Floats, t: Fraction, origin: Floats, direction: Floats) -> None:
-    """The point is the exact one within a few roundings of the numbers that make it."""
-    for got, start, way in zip(point.tolist(), origin.tolist(), direction.tolist(), strict=True):
-        move = t * Fraction(way)
-        slack = (abs(move) + abs(Fraction(start))) * Fraction(2, 10**15)
-        slack += Fraction(SMALLEST) * (4 + 4 * abs(Fraction(way)))
-        assert abs(Fraction(got) - Fraction(start) - move) <= slack, (got, float(start + move))
+def _check_coordinate(
+    got: float, place: Fraction, t: Fraction, start: Fraction, way: Fraction
+) -> None:
+    """It is the exact one within a few roundings of the numbers that make it."""
+    slack = (abs(t * way) + abs(start)) * Fraction(2, 10**15)
+    slack += Fraction(SMALLEST) * (4 + 4 * abs(way))
+    assert abs(Fraction(got) - place) <= slack, (got, float(place))
 
 
 # ---- boxes and points: comparisons of doubles are exact by themselves
@@ -212,6 +219,24 @@ def squared_distance(lo: Floats, hi: Floats, point: Floats) -> Fraction:
     for low, high, x in zip(*(whole(side, bits) for side in (lo, hi, point)), strict=True):
         total += max(low - x, 0, x - high) ** 2
     return Fraction(total, 1 << 2 * bits)
+
+
+def is_distance(value: float, square: Fraction, roundings: float) -> bool:
+    """Whether it is the root, within so many roundings."""
+    if math.isinf(value):
+        return square > Fraction(LARGEST) ** 2
+    slack = Fraction(value) * Fraction(roundings) / 2**53 + 20 * Fraction(SMALLEST)
+    low, high = max(Fraction(value) - slack, Fraction(0)), Fraction(value) + slack
+    return low * low <= square <= high * high
+
+
+def half_area(lo: Floats, hi: Floats) -> Fraction:
+    """Exact half of the surface area of a box in 3D, of the perimeter in 2D."""
+    edges = [Fraction(h) - Fraction(s) for s, h in zip(lo.tolist(), hi.tolist(), strict=True)]
+    if len(edges) == 2:
+        return sum(edges, Fraction(0))
+    x, y, z = edges
+    return x * y + y * z + z * x
 
 
 # ---- trees

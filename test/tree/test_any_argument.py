@@ -11,28 +11,16 @@ from typing import Any
 import numpy as np
 import pytest
 from odd_values import masked
-from tree.arguments import HI, LO, LOW, ONE, some_tree
+from tree.arguments import HI, LO, ONE, some_tree
 from tree.reference import snapshot
 
 from bvh_ros import DynamicBVH
 from bvh_ros.tree.access import OpenTree
 
-NEVER = [np.array(['NaT'] * 3, 'M8[s]'), masked((3,)), ['1'] * 3, [10**400] * 3, [None] * 3]
 
-
-@pytest.mark.parametrize('value', NEVER, ids=map(str, range(len(NEVER))))
-def test_no_numbers_are_not_taken_for_some(value: Any) -> None:
-    tree = some_tree()
-    for call in (tree.nearest, lambda x: tree.insert(LOW, x), lambda x: tree.raycast(x, ONE)):
-        with pytest.raises(ValueError, match=r'point|hi|origin'):
-            call(value)
-    rows = [value] * 5 if isinstance(value, list) else np.ma.stack([value] * 5)
-    for call in (tree.nearest_many, lambda x: tree.insert_many(LO - 1, x)):
-        with pytest.raises(ValueError, match=r'points|hi'):
-            call(rows)
-    if isinstance(value, np.ma.MaskedArray):
-        for taken in (value.filled(7), np.ma.array(value.filled(7))):  # none is masked
-            tree.nearest(taken)
+def test_an_array_of_which_nothing_is_masked_is_taken() -> None:
+    for taken in (masked((3,)).filled(7), np.ma.array(masked((3,)).filled(7))):
+        some_tree().nearest(taken)
 
 
 @pytest.mark.parametrize('name', ['ndim', 'margin', 'sibling_search'])
@@ -73,12 +61,8 @@ def test_a_subclass_is_copied_with_what_it_adds(way: Callable[[Any], Any]) -> No
     handle = tree.insert([0, 0], [1, 1])
     twin = way(tree)
     assert type(twin) is Named
-    assert (twin.name, twin.tags, twin.margin, twin.ids().tolist()) == (
-        'north',
-        ['a'],
-        0.5,
-        [handle],
-    )
+    assert (twin.name, twin.tags, twin.margin) == ('north', ['a'], 0.5)
+    assert twin.ids().tolist() == [handle]
     assert (twin.tags is tree.tags) == (way is copy.copy)
     twin.remove(handle)
     assert handle in tree

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from odd_values import masked
 from tree.arguments import ARGUMENTS, HI, LO, ONE, ask, some_tree
 from tree.reference import snapshot
 
@@ -37,6 +38,9 @@ ROWS = [
 ]
 POINTS = [[0, NAN, 0], [INF, 0, 0], [0, 0], [0, 0, 0, 0], 1.0, [[0, 0, 0]], ['a', 'b', 'c']]
 POINTS += [[[0], [0, 1], 0], None]
+NO_NUMBERS = [np.array(['NaT'] * 3, 'M8[s]'), masked((3,)), ['1'] * 3, [10**400] * 3, [None] * 3]
+POINTS += NO_NUMBERS
+ROWS += [(value if type(value) is not list else [value] * 5, '') for value in NO_NUMBERS]
 COORDINATES = 'lo hi displacement origin origins direction directions translation point points'
 MASKS, LIMITS = [-1, 2**32, 0.5, 'all', NAN], [NAN, -1e-300, -INF, 'far', None]
 COUNTS = [0, -1, 1.5]
@@ -59,6 +63,7 @@ OTHERS: dict[str, list[Any]] = {
     'set_masks mask': [[1, 2], ([1, 2**32, 1, 1, 1], 'row 1')],
     'raycast_many mask': [np.full(5, 0.5)],
     'overlap_many mask': [[[1]] * 5],
+    'query_ball r': [INF, ([1, 1, 1, -1, 1], 'row 3')],
     'nearest k': COUNTS,
     'nearest_many k': COUNTS,
     'raycast_many threads': COUNTS,
@@ -83,7 +88,7 @@ def bad_values() -> dict[str, list[tuple[Any, str]]]:
             rows = method.endswith('_many') or method in ('from_boxes', 'exits', 'query_ball')
             values = ROWS if rows else [(point, '') for point in POINTS]
             if name == 'displacement':  # None is no displacement
-                values = values[:-1]
+                values = [(value, why) for value, why in values if value is not None]
             if name in ('origins', 'directions'):  # one row is the same for all rays
                 values = [(value, why) for value, why in values if value is not ONE]
             found[what] = found.get(what, []) + values
@@ -104,6 +109,7 @@ MISTAKES: list[tuple[Callable[[DynamicBVH], Any], str]] = [
     (lambda t: t.move(t.ids()[0], [0, 0, 2], [1, 1, 1]), 'lo .* hi'),
     (lambda t: t.move_many(t.ids()[:5], with_row(4, 5), HI), 'row 4'),
     (lambda t: t.overlap([0, 2, 0], [1, 1, 1]), 'lo .* hi'),
+    (lambda t: t.contains([0, 2, 0], [1, 1, 1]), 'lo .* hi'),
     (lambda t: t.boxcast([0, 2, 0], [1, 1, 1], ONE), 'lo .* hi'),
     (lambda t: t.overlap_many(with_row(1, 5), HI), 'row 1'),
     (lambda t: DynamicBVH.from_boxes(with_row(1, 5), HI), 'row 1'),

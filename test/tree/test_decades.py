@@ -4,8 +4,6 @@
 and change, singly and in batches, against exact arithmetic.
 """
 
-from fractions import Fraction
-
 import numpy as np
 import pytest
 from tree.reference import (
@@ -16,6 +14,7 @@ from tree.reference import (
     effort,
     exact_hits,
     exact_sweeps,
+    is_distance,
     overlapping_pairs,
     overlapping_rows,
     seen,
@@ -117,28 +116,16 @@ def check_nearest(rng: Rng, tree: DynamicBVH, lo: Floats, hi: Floats, handles: I
     points = rays_among(rng, lo, hi, RAYS)[0]
     ids, distances = tree.nearest_many(points, 3)
     for i, point in enumerate(points[:30]):
-        one_ids, one_distances = tree.nearest(point, 3)
-        assert (ids[i].tolist(), distances[i].tolist()) == (
-            one_ids.tolist(),
-            one_distances.tolist(),
-        )
+        for many, one in zip((ids, distances), tree.nearest(point, 3), strict=True):
+            assert many[i].tolist() == one.tolist()
     row_of = {handle: row for row, handle in enumerate(handles.tolist())}
     for i in range(EXACT):
         squares = [squared_distance(*box, points[i]) for box in zip(lo, hi, strict=True)]
         in_order = sorted(squares)
         for rank, handle in enumerate(ids[i].tolist()):
             of_rank = in_order[rank]
-            assert is_distance(float(distances[i, rank]), of_rank)
-            assert is_distance(float(distances[i, rank]), squares[row_of[handle]])
-
-
-def is_distance(value: float, square: Fraction) -> bool:
-    """Whether it is the root, within the few roundings that are promised."""
-    if value == np.inf:
-        return square > Fraction(LARGEST) ** 2
-    slack = Fraction(value) / 10**15 + 20 * Fraction(SMALLEST)
-    low, high = max(Fraction(value) - slack, Fraction(0)), Fraction(value) + slack
-    return low * low <= square <= high * high
+            assert is_distance(float(distances[i, rank]), of_rank, 8)
+            assert is_distance(float(distances[i, rank]), squares[row_of[handle]], 8)
 
 
 def live(rng: Rng, lo: Floats, hi: Floats, margin: float) -> None:

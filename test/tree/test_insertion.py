@@ -10,7 +10,7 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
-from tree.reference import Floats
+from tree.reference import Floats, half_area
 
 from bvh_ros.tree.access import OpenTree
 from bvh_ros.tree.insertion import MOST_TRIES, branch_and_bound_sibling, greedy_sibling
@@ -22,29 +22,19 @@ SEARCHES = ['greedy', 'branch_and_bound']
 # ---- the search
 
 
-def exact_half_area(lo: Floats, hi: Floats) -> Fraction:
-    edges = [Fraction(h) - Fraction(s) for s, h in zip(lo.tolist(), hi.tolist(), strict=True)]
-    if len(edges) == 2:
-        return sum(edges, Fraction(0))
-    x, y, z = edges
-    return x * y + y * z + z * x
-
-
 def insertion_costs(tree: OpenTree, lo: Floats, hi: Floats) -> dict[int, Fraction]:
     """For each node as sibling: the area of the new parent and the growth of all ancestors."""
     nodes = tree.view().tree.nodes
 
     def grown(node: int) -> Fraction:
-        return exact_half_area(
-            np.minimum(nodes[node]['lo'], lo), np.maximum(nodes[node]['hi'], hi)
-        )
+        return half_area(np.minimum(nodes[node]['lo'], lo), np.maximum(nodes[node]['hi'], hi))
 
     costs, stack = {}, [(int(tree.view().tree.state[ROOT]), Fraction(0))]
     while stack:
         node, inherited = stack.pop()
         costs[node] = inherited + grown(node)
         if not is_leaf(node):
-            below = costs[node] - exact_half_area(nodes[node]['lo'], nodes[node]['hi'])
+            below = costs[node] - half_area(nodes[node]['lo'], nodes[node]['hi'])
             stack += [(int(nodes[node][side]), below) for side in ('left', 'right')]
     return costs
 
@@ -59,7 +49,7 @@ def greedy_cost(tree: OpenTree, costs: dict[int, Fraction], leaf_area: Fraction)
         bounds = []
         for place, child in enumerate(children):
             if not is_leaf(child):
-                area = exact_half_area(nodes[child]['lo'], nodes[child]['hi'])
+                area = half_area(nodes[child]['lo'], nodes[child]['hi'])
                 height = int(tree.view().tree.heights[child])
                 bounds.append((costs[child] - area + leaf_area, height, place, child))
         if not bounds or min(bounds)[0] > best:
@@ -87,7 +77,7 @@ def search_costs(
             nodes[leaf]['lo'], nodes[leaf]['hi'] = lo, hi
             found = search(nodes, heights, int(tree.view().tree.state[ROOT]), leaf)
             costs = insertion_costs(tree, lo, hi)
-            greedy = greedy_cost(tree, costs, exact_half_area(lo, hi))
+            greedy = greedy_cost(tree, costs, half_area(lo, hi))
             results.append((costs[int(found)], greedy, min(costs.values())))
         tree.insert(lo, hi)
     return results
@@ -108,9 +98,6 @@ def test_greedy_finds_the_best_of_one_descent(ndim: int) -> None:
         assert found == greedy >= least
     best = sum(found == least for found, _, least in results)
     assert 0 < best < len(results)
-
-
-# ---- handles
 
 
 # ---- height

@@ -6,7 +6,6 @@ BVH_ROS_LONG_TESTS=1 makes it a million rays instead of some ten thousand.
 """
 
 import math
-from fractions import Fraction
 from typing import NamedTuple
 
 import numpy as np
@@ -15,8 +14,6 @@ from numpy.typing import NDArray
 from tree.adversary import SCALES, each_ndim, each_scale, rays_at, reaches, some_boxes
 from tree.reference import (
     INSIDE,
-    LARGEST,
-    SMALLEST,
     ExactHit,
     Floats,
     Ids,
@@ -27,7 +24,7 @@ from tree.reference import (
     seen,
 )
 
-from bvh_ros import ALL, DynamicBVH
+from bvh_ros import ALL, DynamicBVH, RayHit
 
 BOXES = 20
 RAYS = 500  # a scene: enough for the batch path
@@ -129,26 +126,33 @@ def test_batches_decide_exactly(ndim: int, scale: float) -> None:
         check_first_hit(tree, handles, world, True, threads=2)
 
 
+def check_ray_hit(
+    hit: RayHit, exact: ExactHit, world: World, origin: Floats, direction: Floats
+) -> None:
+    check_hit(hit, exact, world.lo[exact.row], world.hi[exact.row], (origin, origin, direction))
+    if exact.axis == INSIDE:
+        assert hit.point.tolist() == origin.tolist()
+
+
 @each_scale
 @each_ndim
 def test_scalar_calls_decide_exactly(ndim: int, scale: float) -> None:
     world = make_world(1000, ndim, scale, rays=150)
     tree = DynamicBVH.from_boxes(world.lo, world.hi, mask=world.masks)
     handles = tree.ids()
-    for ray, (origin, direction) in enumerate(zip(world.origins, world.directions, strict=True)):
-        limits = {'t_max': float(world.t_max[ray]), 'mask': int(world.query_masks[ray])}
-        expected = world.expected(ray, handles, True)
-        hits = tree.raycast_all(origin, direction, **limits)
+    for row, ray in enumerate(zip(world.origins, world.directions, strict=True)):
+        limits = {'t_max': float(world.t_max[row]), 'mask': int(world.query_masks[row])}
+        expected = world.expected(row, handles, True)
+        hits = tree.raycast_all(*ray, **limits)
         assert [hit.id for hit in hits] == [handles[hit.row] for hit in expected]
         assert [hit.t for hit in hits] == sorted(hit.t for hit in hits)
         for hit, exact in zip(hits, expected, strict=True):
-            check_hit(hit, exact, world.lo[exact.row], world.hi[exact.row], (origin, direction))
-        first = tree.raycast(origin, direction, **limits)
-        assert (first is not None) == bool(expected) == tree.occluded(origin, direction, **limits)
+            check_ray_hit(hit, exact, world, *ray)
+        first = tree.raycast(*ray, **limits)
+        assert (first is not None) == bool(expected) == tree.occluded(*ray, **limits)
         if first is not None:
             assert first.id == handles[expected[0].row]
-            row = expected[0].row
-            check_hit(first, expected[0], world.lo[row], world.hi[row], (origin, direction))
+            check_ray_hit(first, expected[0], world, *ray)
 
 
 VARIANTS = {
@@ -205,34 +209,6 @@ def test_the_rays_are_adversarial() -> None:
             plain = np.flatnonzero(entry <= np.maximum(at_lo, at_hi).min(axis=1))
             wrong += set(plain.tolist()) != {hit.row for hit in world.hits[ray]}
     assert wrong > RAYS / 10
-
-
-# ---- single cases, each with its exact answer in words
-
-
-@pytest.mark.parametrize('t', [1.0, 1 / 3, 3.0, 7.5, 1e-300, 1e300, SMALLEST])
-def test_t_max_at_the_entry_counts(t: float) -> None:
-    tree = DynamicBVH()
-    tree.insert([t, -1, -1], [LARGEST, 1, 1])
-    below = math.nextafter(t, 0.0)
-    assert tree.raycast([0, 0, 0], [1, 0, 0], t_max=t).t == t
-    assert tree.raycast([0, 0, 0], [1, 0, 0], t_max=below) is None
-    assert tree.occluded([0, 0, 0], [1, 0, 0], t_max=t)
-    assert not tree.occluded([0, 0, 0], [1, 0, 0], t_max=below)
-    many = tree.raycast_many(np.zeros((2, 3)), [[1, 0, 0]] * 2, t_max=[t, below])
-    assert many.ids.tolist() == [tree.ids()[0], -1]
-
-
-def test_t_max_between_two_doubles() -> None:
-    """The entry 1/3 is no double: the next double below 1/3 does not reach it, the next above
-    does.
-    """
-    tree = DynamicBVH(2)
-    tree.insert([1, -1], [2, 1])
-    below = 1 / 3  # as a double, this is less than the rational
-    assert Fraction(below) < Fraction(1, 3)
-    assert not tree.occluded([0, 0], [3, 0], t_max=below)
-    assert tree.occluded([0, 0], [3, 0], t_max=math.nextafter(below, 1))
 
 
 def test_ties_of_exact_distances_only() -> None:

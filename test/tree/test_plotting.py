@@ -7,17 +7,9 @@ import pytest
 
 from bvh_ros import DynamicBVH
 
-pyplot = pytest.importorskip('matplotlib.pyplot', reason='matplotlib is not installed')
-pyplot.switch_backend('agg')
-
+pytestmark = pytest.mark.usefixtures('pyplot')
 LO = np.array([[0.0, 0.0], [4.0, 1.0], [2.0, 5.0]])
 HI = LO + np.array([[1.0, 2.0], [3.0, 1.0], [0.5, 0.5]])
-
-
-@pytest.fixture(autouse=True)
-def _close():
-    yield
-    pyplot.close('all')
 
 
 def drawn(axes):
@@ -86,7 +78,7 @@ def assert_seen(axes, colour):
     assert (alike > 0.9995).sum() > 300
 
 
-def test_an_empty_tree_and_axes_of_ones_own():
+def test_an_empty_tree_and_axes_of_ones_own(pyplot):
     axes = pyplot.figure().add_subplot(projection='3d')
     assert DynamicBVH().plot(axes) is axes
 
@@ -106,6 +98,6 @@ def test_wrong_arguments(given, said):
         DynamicBVH.from_boxes(LO, HI).plot(**given)
 
 
-def test_axes_of_the_wrong_kind():
+def test_axes_of_the_wrong_kind(pyplot):
     with pytest.raises(ValueError, match='axes must have 3 dimensions'):
         DynamicBVH().plot(pyplot.figure().add_subplot())

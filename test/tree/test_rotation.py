@@ -28,23 +28,14 @@ def hang(tree: OpenTree, shape: Shape, at: list[float]) -> int:
     """Link a tree of exactly this shape over unit boxes at the given places on the x axis; return
     its root.
     """
-    nodes, heights, state = (
-        tree.view().tree.nodes,
-        tree.view().tree.heights,
-        tree.view().tree.state,
-    )
+    held = tree.view().tree
+    nodes, heights, state = held.nodes, held.heights, held.state
     if isinstance(shape, int):
         leaf = int(take_leaf(nodes, state))
-        nodes[leaf]['lo'], nodes[leaf]['hi'], nodes[leaf]['mask'] = (
-            (at[shape], 0),
-            (at[shape] + 1, 1),
-            1,
-        )
-        heights[leaf] = 0
-        tree.view().tree.handles[leaf >> 1] = (
-            tree.view().tree.state[SERIAL] << SLOT_BITS | leaf >> 1
-        )
-        tree.view().tree.state[SERIAL] += 1
+        nodes[leaf]['lo'], nodes[leaf]['hi'] = (at[shape], 0), (at[shape] + 1, 1)
+        nodes[leaf]['mask'], heights[leaf] = 1, 0
+        held.handles[leaf >> 1] = state[SERIAL] << SLOT_BITS | leaf >> 1
+        state[SERIAL] += 1
         return leaf
     node = int(take_inner(nodes, state))
     for side, below in zip(('left', 'right'), shape, strict=True):
@@ -93,9 +84,8 @@ def test_exchanges(at: list[float], before: Shape, after: Shape, cost: float, le
     tree.view().tree.state[ROOT] = root = hang(tree, before, at)
     tree.validate()
     assert tree.cost() == pytest.approx(cost)
-    assert rotate(tree.view().tree.nodes, tree.view().tree.heights, root, HIGHEST) == (
-        before != after
-    )
+    held = tree.view().tree
+    assert rotate(held.nodes, held.heights, root, HIGHEST) == (before != after)
     tree.validate()
     assert tree.cost() == pytest.approx(less)
     assert unordered(shape_of(tree, root, at)) == unordered(after)

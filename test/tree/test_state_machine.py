@@ -54,6 +54,9 @@ class Box(NamedTuple):
     velocity: list[float]
     reference: float = 0.0
 
+    def changed(self, **fields: Any) -> 'Box':
+        return self._replace(**fields)
+
 
 class TreeMachine(RuleBasedStateMachine):
     """A tree, and beside it the boxes that it was given."""
@@ -104,7 +107,7 @@ class TreeMachine(RuleBasedStateMachine):
             self.newest = handle
 
     def change(self, handle: int, **fields: Any) -> None:
-        self.model[handle] = self.model[handle]._replace(**fields)
+        self.model[handle] = self.model[handle].changed(**fields)
 
     def forget(self, handles: list[int]) -> None:
         for handle in handles:
@@ -234,10 +237,7 @@ class TreeMachine(RuleBasedStateMachine):
     )
     def cast_a_ray(self, data: st.DataObject, mask: int, t_max: float, skip: bool) -> None:
         axes = [SIDES] * self.tree.ndim
-        origin, direction = (
-            np.array(data.draw(st.tuples(*axes))),
-            np.array(data.draw(st.tuples(*axes))),
-        )
+        origin, direction = (np.array(data.draw(st.tuples(*axes))) for _ in range(2))
         handles, lo, hi, masks = self.arrays()
         hits = exact_hits(lo, hi, origin[None], direction[None])[0]
         expected = [
@@ -350,10 +350,8 @@ class TreeMachine(RuleBasedStateMachine):
         assert (low.tolist(), high.tolist()) == (lo.tolist(), hi.tolist())
         assert self.tree.masks(handles).tolist() == masks.tolist()
         if len(handles):
-            assert [side.tolist() for side in self.tree.bounds] == [
-                lo.min(0).tolist(),
-                hi.max(0).tolist(),
-            ]
+            for side, extreme in zip(self.tree.bounds, (lo.min(0), hi.max(0)), strict=True):
+                assert side.tolist() == extreme.tolist()
             assert self.tree.height <= 4 * math.log2(len(handles)) + 4
         else:
             assert self.tree.bounds is None

@@ -37,8 +37,7 @@ def five(unit=1.0, at=(0.0, 0.0, 0.0)):
     """One of each shape, each of a source of its own."""
     scene = NodeScene()
     for name, (kind, place, size, turn) in KINDS.items():
-        shape = Shapes.boxes([at + unit * np.array(place)], unit * np.array([size]), [turn])
-        shape = shape._replace(kind=np.array([kind], np.uint8))
+        shape = Shapes([kind], [at + unit * np.array(place)], turn, unit * np.array(size))
         assert scene.update(name, [name], shape, stamp=0) == []
     mesh = Mesh([unit * np.delete(CORNERS, corner, axis=0) for corner in range(4)])
     shape = Shapes.of_meshes([mesh], [at + unit * np.array((3.0, -1.0, 0.5))])

@@ -112,10 +112,8 @@ def test_a_bag_is_read_as_the_node_reads_it(ros_context, bag):
 
 @pytest.mark.slow
 @pytest.mark.parametrize('source', ['warehouse', 'bag'])
-def test_a_still_shows_rays_and_hits(ros_context, source, bag, tmp_path, monkeypatch):
-    pyplot = pytest.importorskip('matplotlib.pyplot', reason='matplotlib is not installed')
+def test_a_still_shows_rays_and_hits(ros_context, pyplot, source, bag, tmp_path):
     draw(tmp_path / 'still.png', None if source == 'warehouse' else bag)
     seen = np.rint(255 * pyplot.imread(tmp_path / 'still.png')[..., :3]).astype(int)
     hit = np.abs(seen - (214, 94, 0)).max(axis=2) < 3
     assert hit.sum() > 30
-    pyplot.close('all')

@@ -3,7 +3,7 @@
 """A ray or ball gets the same answer, bit for bit, in every form of the query.
 
 Alone, in a batch, in threads, as the first of all hits; through the tree, a snapshot, a patched
-one or a swept one; among all obstacles or past each of them alone. `test_casting` and
+one or a swept one; among all obstacles or past each of them alone. `test_certainty` and
 `test_moments` check that the answer is right.
 """
 
@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
-from scene.reference import random_shapes
+from scene.reference import changed, random_shapes
 
 from bvh_ros.scene import NO_NODE, Scene, Shapes
 
@@ -50,7 +50,7 @@ def shapes_of(world: World, rng: np.random.Generator, count: int = COUNT) -> Sha
     if not world.shaped:  # on whole numbers, so that hits tie
         places, sizes = rng.integers(-6, 7, (count, 3)), rng.integers(0, 4, (count, 3))
         shapes = Shapes.boxes(places * 1.0, sizes * 1.0)
-    return shapes._replace(position=shapes.position * world.scale, size=shapes.size * world.scale)
+    return changed(shapes, position=shapes.position * world.scale, size=shapes.size * world.scale)
 
 
 def put(scene: Scene, world: World, rows: np.ndarray, shapes: Shapes, rng: np.random.Generator):

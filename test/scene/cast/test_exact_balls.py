@@ -15,10 +15,11 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 from scene.inside import boxes_of
+from scene.reference import scene_of
 from tree.adversary import coordinates, nudge
 from tree.reference import effort
 
-from bvh_ros.scene import Scene, Shapes
+from bvh_ros.scene import Shapes
 
 HALVINGS = 250  # two roots that agree in so many digits are equal: checked below
 
@@ -107,9 +108,8 @@ def adversarial_scene(rng, planar, scale, count=8):
     """Boxes on lattices of halves, thirds and tenths; their corners as the tree has them."""
     position = coordinates(rng, (count, 3), scale)
     size = np.abs(coordinates(rng, (count, 3), scale))
-    scene = Scene(planar=planar, margin=rng.choice([0.0, 0.1 * scale]))
-    names = [str(row) for row in range(count)]
-    assert scene.update('test', names, Shapes.boxes(position, size), stamp=1) == []
+    margin = rng.choice([0.0, 0.1 * scale])
+    scene = scene_of(Shapes.boxes(position, size), planar, margin=margin)
     return scene, boxes_of(scene)
 
 
@@ -142,7 +142,7 @@ def ask(scene, sweep, **options):
     assert (first.name if first else None) == (hits[0].name if hits else None)
     assert [hit.t for hit in hits] == sorted(hit.t for hit in hits)
     way = (goal - start)[: len(sweep.start)].tolist()  # as the scene rounds it
-    return hits, sweep._replace(way=way)
+    return hits, Sweep(sweep.start, way, sweep.radius)
 
 
 @pytest.mark.slow
@@ -204,9 +204,8 @@ CASES = {
     ('lo', 'hi', 'start', 'way', 'radius', 'touches'), CASES.values(), ids=CASES.keys()
 )
 def test_one_box(lo, hi, start, way, radius, touches):
-    scene = Scene()
     low, high = np.array(lo, float), np.array(hi, float)
-    scene.update('test', ['0'], Shapes.boxes([(low + high) / 2], [high - low]), stamp=1)
+    scene = scene_of(Shapes.boxes([(low + high) / 2], [high - low]))
     (box,) = boxes_of(scene)
     hits, sweep = ask(scene, Sweep(list(start), list(way), radius))
     exact = touched_by(*box, sweep, moments(*box, sweep), Fraction(1))
@@ -217,9 +216,8 @@ def test_one_box(lo, hi, start, way, radius, touches):
 def test_equal_times_go_to_the_older():
     """Two corners at the same distance from the way, one nearer by an ulp or not."""
     for lift, expected in ((0.0, ['a', 'b']), (2.0**-52, ['b', 'a'])):
-        scene = Scene()
         shapes = Shapes.boxes([[4, 1.5 + lift, 0], [4, -1.5, 0]], [1, 1, 1])
-        scene.update('test', ['a', 'b'], shapes, stamp=1)
+        scene = scene_of(shapes, names=['a', 'b'])
         hits = scene.raycast_all([0, 0, 0], [9, 0, 0], 1.25)
         assert [hit.name for hit in hits] == expected
         assert hits[0].t == pytest.approx((3.5 - 0.75) / 9)
@@ -235,9 +233,7 @@ def test_faces_in_one_plane_go_to_the_older():
         lane = float(rng.choice([0.0, 3.6, 7.2]))
         middles = [[x, lane, 0.75] for x in 2e4 + rng.uniform(-3, 3, 4)]
         middles[3][1] = np.nextafter(lane, lane + rng.choice([-9, 0, 9]))
-        scene = Scene()
-        names = [str(row) for row in range(4)]
-        scene.update('cars', names, Shapes.boxes(middles, [4.5, 1.8, 1.5]), stamp=1)
+        scene = scene_of(Shapes.boxes(middles, [4.5, 1.8, 1.5]))
         start = np.array([2e4 + rng.uniform(-3, 3), lane - 2.5, 0.75])
         goal = np.add(start, (rng.uniform(-2, 2), rng.uniform(1, 3), 0.0))
         sweep = Sweep(start.tolist(), (goal - start).tolist(), 0.5)
@@ -253,8 +249,8 @@ def test_however_far_or_small():
     nothing.
     """
     rng, count = np.random.default_rng(5), 70
-    scene, shapes = Scene(), Shapes.boxes(rng.uniform(0, 20, (count, 3)), [1.5, 1.0, 0.5])
-    scene.update('test', [str(row) for row in range(count)], shapes, stamp=1)
+    shapes = Shapes.boxes(rng.uniform(0, 20, (count, 3)), [1.5, 1.0, 0.5])
+    scene = scene_of(shapes)
     boxes, met = boxes_of(scene), 0
     for far, radius in ((1.0, 1e-300), (1.0, 1e-13), (1e20, 0.2), (1e141, 0.2), (1e17, 0.2)):
         way = rng.normal(size=3) * 10

@@ -4,8 +4,8 @@
 
 import numpy as np
 import pytest
+from scene.meshes import ring as torus
 from scene.reference import icosphere
-from scene.shapes.test_any_mesh import ring as torus
 
 from bvh_ros.scene import NO_NODE, Mesh, Scene, Shapes
 

@@ -7,6 +7,8 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from scene.reference import box_of_triangles, hull_of, icosphere, scene_of
 from scipy.spatial.transform import Rotation
 
@@ -153,3 +155,24 @@ def test_ends_of_rays(start, goal, t):
     scene = scene_of(Shapes.of_meshes([Mesh(box_of_triangles((2, 2, 2)))], [(0, 0, 0)]))
     hit = scene.raycast(start, goal)
     assert hit is None if t is None else hit.t == t
+
+
+coordinates = st.integers(-8, 8)
+
+
+@settings(max_examples=60)
+@given(st.lists(st.tuples(*[coordinates] * 4), min_size=1, max_size=8), st.randoms())
+def test_rays_in_a_plane_are_clipped_as_exact_arithmetic_says(rays, random):
+    """An octahedron on its tip is a square on its corner."""
+    corners = np.array([(4, 0, 0), (0, 4, 0), (-4, 0, 0), (0, -4, 0), (0, 0, 4), (0, 0, -4)])
+    scene = scene_of(Shapes.of_meshes([Mesh(hull_of(corners))], [(0, 0, 0)]), planar=True)
+    planes = [(normal, 4) for normal in itertools.product((1, -1), repeat=2)]
+    for x, y, to_x, to_y in rays:
+        entry, leave = exact_interval(planes, (x, y), (to_x - x, to_y - y))
+        if entry == leave:  # touched in one point: the direction's rounding decides
+            continue
+        hit = scene.raycast((x, y, 0), (to_x, to_y, random.random()))
+        assert (hit is not None) == (entry < leave)
+        if hit is not None:
+            assert hit.t == pytest.approx(float(entry), rel=1e-15)
+            assert abs(hit.point[:2]).sum() == pytest.approx(4, rel=1e-15) or hit.t == 0.0

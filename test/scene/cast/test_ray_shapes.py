@@ -6,22 +6,20 @@ import math
 
 import numpy as np
 import pytest
-from scene.reference import box_of_triangles
+from scene.reference import box_of_triangles, scene_of
 
-from bvh_ros.scene import NO_NODE, Mesh, Scene, ShapeKind, Shapes
+from bvh_ros.scene import NO_NODE, Mesh, ShapeKind, Shapes
 
 BOX, SPHERE, CYLINDER, CAPSULE, MESH = ShapeKind
 
 
-def scene_of(kind, size, orientation=(0, 0, 0, 1), position=(0, 0, 0)):
-    scene = Scene()
+def alone(kind, size, orientation=(0, 0, 0, 1), position=(0, 0, 0)):
     place, turn, edges = (np.array([part], float) for part in (position, orientation, size))
     if kind == MESH:
         shapes = Shapes.of_meshes([Mesh(box_of_triangles(size))], place, turn)
     else:
         shapes = Shapes(np.array([kind]), place, turn, edges)
-    assert scene.update('test', ['x'], shapes, stamp=1) == []
-    return scene
+    return scene_of(shapes, names=['x'])
 
 
 # kind, size, start, goal, radius, then t, point and normal of the hit
@@ -58,7 +56,7 @@ CONTACTS = [
     ('kind', 'size', 'start', 'goal', 'radius', 't', 'point', 'normal'), CONTACTS
 )
 def test_contacts(kind, size, start, goal, radius, t, point, normal):
-    hit = scene_of(kind, size).raycast(start, goal, radius)
+    hit = alone(kind, size).raycast(start, goal, radius)
     assert hit.t == pytest.approx(t, abs=1e-14)
     assert hit.point == pytest.approx(point, abs=1e-12)
     assert hit.normal == pytest.approx(normal, abs=1e-7)
@@ -67,18 +65,20 @@ def test_contacts(kind, size, start, goal, radius, t, point, normal):
 @pytest.mark.parametrize('kind', list(ShapeKind))
 @pytest.mark.parametrize('radius', [0.0, 0.5])
 def test_a_start_inside_is_met_at_once_without_a_normal(kind, radius):
-    scene = scene_of(kind, (2, 2, 2), (0, 0, 0.6, 0.8))
+    scene = alone(kind, (2, 2, 2), (0, 0, 0.6, 0.8))
     for goal in ((5, 0, 0), (0.1, 0.2, 0.3)):
         hit = scene.raycast((0.1, 0.2, 0.3), goal, radius)
         assert hit.t == 0.0
         assert hit.point.tolist() == [0.1, 0.2, 0.3]
         assert hit.normal.tolist() == [0, 0, 0]
         assert scene.raycast((0.1, 0.2, 0.3), goal, radius, skip_inside=True) is None
+    (touched,) = scene.overlap((0.1, 0.2, 0.3), (0.1, 0.2, 0.3), tolerance=radius)
+    assert (touched.t, touched.normal.tolist()) == (0.0, [0, 0, 0])
 
 
 @pytest.mark.parametrize('kind', list(ShapeKind))
 def test_just_out_of_reach(kind):
-    scene = scene_of(kind, (2, 2, 2))
+    scene = alone(kind, (2, 2, 2))
     assert scene.raycast((-5, 0, 0), (-1.5 - 1e-12, 0, 0), 0.5) is None
     assert scene.raycast((-5, 1.5 + 1e-12, 0), (5, 1.5 + 1e-12, 0), 0.5) is None
     assert scene.raycast((-1.5 - 1e-12, 0, 0), (-5, 0, 0), 0.5) is None
@@ -87,7 +87,7 @@ def test_just_out_of_reach(kind):
 def test_a_far_start_costs_few_digits():
     """Each contact is 1e6 m away and still found to a nanometre."""
     for kind in ShapeKind:
-        scene = scene_of(kind, (0.2, 0.2, 0.2), (0, 0, 0.1, 1))
+        scene = alone(kind, (0.2, 0.2, 0.2), (0, 0, 0.1, 1))
         hit = scene.raycast((-1e6, 0, 0), (1e6, 0, 0), 0.05)
         reach = 0.15 if kind not in (BOX, MESH) else 0.05 + 0.1 * (math.sqrt(2) * math.cos(0.0))
         assert -reach - 1e-9 <= hit.t * 2e6 - 1e6 <= -0.15 + 1e-9
@@ -98,7 +98,7 @@ def test_a_far_start_costs_few_digits():
 def test_a_ray_without_an_end_that_misses(kind):
     """It comes back at all: among capsules it once looked for ever."""
     for turn in ((0, 0, 0, 1), (0.1, 0.3, 0.3, 0.9)):
-        scene = scene_of(kind, (2, 2, 2 + 2 * (kind == CAPSULE)), turn)
+        scene = alone(kind, (2, 2, 2 + 2 * (kind == CAPSULE)), turn)
         hits = scene.raycast_many([(-5, 1.4, 1.4)], [(1, 0.3, 0.3)])
         assert (hits.handles[0], hits.t[0]) == (NO_NODE, math.inf)
 
@@ -106,8 +106,7 @@ def test_a_ray_without_an_end_that_misses(kind):
 def test_thin_rays_among_boxes_stay_exact_beside_other_shapes():
     """A ray along the common edge of boxes, decided as the tree alone decides it."""
     boxes = Shapes.boxes([[0.1 * i, 0.1, 0.1] for i in range(30)], [0.1, 0.1, 0.1])
-    scene = Scene()
-    scene.update('test', [f'b{i}' for i in range(30)], boxes, stamp=1)
+    scene = scene_of(boxes, names=[f'b{i}' for i in range(30)])
     rays = [
         ([-1, y, z], [4, y, z]) for y in (0.05, 0.15, 0.1) for z in (0.05, 0.15000000000000002)
     ]

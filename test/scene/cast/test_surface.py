@@ -8,34 +8,15 @@ import weakref
 
 import numpy as np
 import pytest
-from scene.reference import box_of_triangles, icosphere
+from scene.meshes import CUBE, cut_cube, single
+from scene.reference import icosphere
 from scipy.spatial.transform import Rotation
 
 from bvh_ros.scene import Mesh, mesh_of
 
-CUBE = box_of_triangles((1, 1, 1))
-
-
-def cut_cube(cuts):
-    """A cube whose sides are cut into cuts x cuts squares of two triangles: most are coplanar."""
-    steps = np.linspace(-0.5, 0.5, cuts + 1)
-    triangles = []
-    for axis, side in itertools.product(range(3), (-0.5, 0.5)):
-        for (a, b), (c, d) in itertools.product(itertools.pairwise(steps), repeat=2):
-            corners = np.empty((4, 3))
-            corners[:, axis] = side
-            corners[:, (axis + 1) % 3] = a, b, b, a
-            corners[:, (axis + 2) % 3] = c, c, d, d
-            triangles += [corners[[0, 1, 2]], corners[[0, 2, 3]]]
-    return np.array(triangles)
-
 
 def turned(triangles, seed=1):
     return triangles @ Rotation.random(random_state=seed).as_matrix().T
-
-
-def single(triangles):
-    return triangles.astype(np.float32).astype(float)
 
 
 def shuffled(triangles, seed=2):
@@ -124,6 +105,13 @@ L_SHAPE = np.concatenate([CUBE, CUBE + np.eye(3)[0], CUBE + np.eye(3)[1]])
         ),
         pytest.param(L_SHAPE, 'belongs to', id='three cubes'),
         pytest.param(np.concatenate([CUBE, CUBE + 3]), 'not the surface of one', id='two solids'),
+        pytest.param(
+            np.concatenate([CUBE, [[*CUBE[0, :2], (0, 0, 0)]]]), 'belongs to 3 triangles', id='fin'
+        ),
+        pytest.param(CUBE[:1], 'flat', id='one triangle'),
+        pytest.param(np.concatenate([CUBE[:1], CUBE[:1]]), 'flat', id='the same twice'),
+        pytest.param(CUBE * (1, 1, 1e-8), 'flat', id='as good as flat'),
+        pytest.param(CUBE * 1e-150, 'too small', id='too small'),
     ],
 )
 def test_what_is_no_convex_solid_is_refused_in_a_sentence(triangles, words):
@@ -132,6 +120,23 @@ def test_what_is_no_convex_solid_is_refused_in_a_sentence(triangles, words):
     assert '\n' not in str(refused.value)
     with pytest.raises(ValueError, match=words):
         mesh_of(turned(shuffled(triangles)), 'convex')
+
+
+@pytest.mark.parametrize(
+    ('triangles', 'words'),
+    [
+        (np.empty((0, 3, 3)), 'must have shape'),
+        (np.zeros((4, 3)), 'must have shape'),
+        (
+            np.where(np.arange(108).reshape(12, 3, 3) == 9, np.nan, CUBE),
+            'triangle 1 is not finite',
+        ),
+        (np.full((3, 3, 3), 0.1), 'no triangle with an area'),
+    ],
+)
+def test_what_is_no_surface_is_refused(triangles, words):
+    with pytest.raises(ValueError, match=words):
+        mesh_of(triangles, 'convex')
 
 
 def test_a_mesh_that_comes_again_is_recognised_while_it_is_in_use():

@@ -3,136 +3,24 @@
 """Which triangle of a mesh a ray meets, and where in it: against exact rational arithmetic."""
 
 import pickle
-from fractions import Fraction
 
 import numpy as np
 import pytest
+from scene.meshes import (
+    SOLIDS,
+    SURFACES,
+    TETRAHEDRON,
+    grid_triangles,
+    places,
+    require_uv,
+    with_gaps,
+)
 from scene.reference import icosphere, scene_of
-from scene.shapes.test_any_mesh import SOLIDS, SURFACES, determinants, holds, segments
 from scipy.spatial.transform import Rotation
 
-from bvh_ros.scene import NO_NODE, Mesh, Scene, Shapes
+from bvh_ros.scene import NO_NODE, Mesh, Shapes
 
-NO_AREA = np.array([[(0, 0, 0), (1, 1, 1), (3, 3, 3)]])
-
-
-def with_gaps(triangles):
-    """Triangles among others without area, so that rows as given are not those of the mesh.
-
-    An even number of them: so what was closed is still.
-    """
-    half = len(triangles) // 2
-    return np.insert(triangles, [0, 0, half, half], NO_AREA, axis=0)
-
-
-# ---- What exact arithmetic says.
-
-
-def entry_within_plane(triangle, start, way):
-    """The t at which a ray enters a triangle in whose plane it runs, exactly; None: nowhere."""
-    normal = np.cross(triangle[1] - triangle[0], triangle[2] - triangle[0])
-    axis = int(np.argmax(np.abs(normal)))
-    y, z = (axis + 1) % 3, (axis + 2) % 3
-    away = (triangle - start).tolist()
-    way = way.tolist()
-    sides = [way[y] * corner[z] - way[z] * corner[y] for corner in away]
-    along = [Fraction(sum(a * b for a, b in zip(corner, way, strict=True))) for corner in away]
-    times = []
-    for i, j in ((0, 1), (1, 2), (2, 0)):
-        if sides[i] == 0:
-            times.append(along[i])
-        elif sides[i] * sides[j] < 0:
-            times.append(
-                along[i] + (along[j] - along[i]) * Fraction(sides[i], sides[i] - sides[j])
-            )
-    if not times or max(times) < 0:
-        return None
-    return max(min(times), Fraction(0)) / sum(a * a for a in way)
-
-
-def first_triangles(triangles, starts, ways):
-    """For each segment, a list of the row that it meets first: the lowest of several, or [-1].
-
-    All of them where it runs in the planes of them all: there rounding chooses.
-    """
-    u, v, w, height = determinants(triangles, starts, ways)
-    total, sides = u + v + w, np.stack((u, v, w))
-    meets = ~((sides.min(axis=0) < 0) & (sides.max(axis=0) > 0))
-    found = []
-    for row in range(len(starts)):
-        best, tied = Fraction(1), [-1]
-        for face in np.flatnonzero(meets[row]).tolist():
-            if total[row, face] == 0:
-                t = entry_within_plane(triangles[face], starts[row], ways[row])
-            else:
-                t = Fraction(int(height[row, face]), int(total[row, face]))
-            if t is None or not 0 <= t <= best:
-                continue
-            if t < best or tied == [-1]:
-                best, tied = t, []
-            tied.append(face)
-        within = [face for face in tied if face < 0 or total[row, face] == 0]
-        found.append(tied if tied == within else tied[:1])
-    return found
-
-
-def on_surface(triangles, points):
-    """Whether integer points (n, 3) lie on triangles, exactly."""
-    normals = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
-    *_, height = determinants(triangles, points, np.ones_like(points))
-    found = np.zeros(len(points), bool)
-    for row, face in zip(*np.nonzero(height == 0), strict=True):
-        away = triangles[face] - points[row]
-        sides = [np.cross(away[k], away[(k + 1) % 3]) @ normals[face] for k in range(3)]
-        found[row] |= min(sides) >= 0
-    return found
-
-
-def places(triangles, rows, uv):
-    """The points (n, 3) that rows and uv (n, 2) of triangles mean."""
-    a, b, c = np.moveaxis(triangles[rows], 1, 0)
-    u, v = uv[:, :1], uv[:, 1:]
-    return (1.0 - u - v) * a + u * b + v * c
-
-
-def require_uv(hits, triangles, tolerance):
-    """u, v and u + v are from 0 to 1, and lead to the point, where a triangle is met."""
-    met = hits.triangles >= 0
-    assert np.isnan(hits.uv[~met]).all()
-    uv, points = hits.uv[met], hits.points[met]
-    assert uv.min(initial=0.0) >= 0.0
-    assert uv.sum(axis=1).max(initial=0.0) <= 1.0
-    apart = np.abs(places(triangles, hits.triangles[met], uv) - points)
-    assert apart.max(initial=0.0) <= tolerance
-    return met
-
-
-# ---- Rays on an integer grid, through corners and along edges and faces.
-
-
-@pytest.mark.parametrize('power', [-20, 0, 20])
-@pytest.mark.parametrize('name', [*SOLIDS, *SURFACES])
-def test_the_first_triangle_is_exact_and_the_lowest_row_of_several(name, power):
-    rng, unit = np.random.default_rng(power + 77), 2.0**power
-    triangles = with_gaps((SOLIDS | SURFACES)[name])
-    starts, goals = segments(triangles, 300, rng)
-    real = np.flatnonzero((np.cross(*np.diff(triangles, axis=1).swapaxes(0, 1)) != 0).any(axis=1))
-    rows = np.append(real, -1)
-    wanted = [rows[tied] for tied in first_triangles(triangles[real], starts, goals - starts)]
-    for solid in (None, False):
-        mesh = Mesh(triangles * unit, solid=solid)
-        assert (mesh.dropped, mesh.solid) == (4, name in SOLIDS and solid is None)
-        hits = scene_of(Shapes.of_meshes(mesh, [0, 0, 0])).raycast_many(
-            starts * unit, (goals - starts) * unit, 1.0
-        )
-        inside = on_surface(triangles[real], starts)
-        if mesh.solid:
-            inside |= holds(triangles[real], starts, rng)
-        for triangle, is_inside, tied in zip(hits.triangles, inside, wanted, strict=True):
-            assert triangle in ([-1] if is_inside else tied)
-        assert (hits.triangles >= 0).sum() > 50
-        reach = np.abs(starts).max() * unit
-        require_uv(hits, triangles * unit, 1e-14 * reach)
+# ---- At edges and corners, and on both sides; `test_any_mesh` casts rays on an integer grid.
 
 
 @pytest.mark.parametrize('decade', range(-6, 7, 2))
@@ -142,9 +30,7 @@ def test_a_ray_at_an_edge_or_corner_meets_the_lowest_row_of_all(decade):
     x, y = np.meshgrid(np.arange(count) * unit, np.arange(count) * unit, indexing='ij')
     corners = np.stack((x, y, rng.uniform(0.0, 2.0, x.shape) * unit), axis=2).reshape(-1, 3)
     cell = np.arange(count * count).reshape(count, count)
-    a, b, c, d = cell[:-1, :-1], cell[1:, :-1], cell[1:, 1:], cell[:-1, 1:]
-    faces = [np.stack(three, axis=2).reshape(-1, 3) for three in ((a, b, c), (a, c, d))]
-    faces = rng.permutation(np.concatenate(faces))
+    faces = rng.permutation(grid_triangles(cell[:, :, None])[:, :, 0])
     scene = scene_of(Shapes.of_meshes(Mesh(corners, faces), [0, 0, 0]))
     at = corners.copy()
     at[:, 2] = 7.3 * unit
@@ -153,7 +39,7 @@ def test_a_ray_at_an_edge_or_corner_meets_the_lowest_row_of_all(decade):
     assert hits.triangles.tolist() == lowest
     require_uv(hits, corners[faces], 1e-14 * 9 * unit)
     # Along x and along y a middle is on the edge: nothing is rounded.
-    ends = np.stack((a, b), axis=2).reshape(-1, 2)
+    ends = np.stack((cell[:-1, :-1], cell[1:, :-1]), axis=2).reshape(-1, 2)
     at = 0.5 * corners[ends[:, 0]] + 0.5 * corners[ends[:, 1]]
     at[:, 2] = 7.3 * unit
     hits = scene.raycast_many(at, [0, 0, -1])
@@ -188,9 +74,8 @@ def posed(name, unit, turn, place):
     """(scene of a mesh among boxes, its triangles in the world)."""
     triangles = FORMS[name] * unit
     world = turn.apply(triangles.reshape(-1, 3)).reshape(-1, 3, 3) + place
-    scene = Scene()
     mesh = Shapes.of_meshes(Mesh(triangles), place, turn.as_quat())
-    scene.update('us', ['mesh'], mesh, stamp=0)
+    scene = scene_of(mesh, names=['mesh'], source='us', stamp=0)
     boxes = Shapes.boxes(place + np.array([(3.0, 0, 0), (0, -3.0, 0)]) * unit, 0.5 * unit)
     scene.update('us', ['box', 'turned'], boxes, stamp=0)
     return scene, world
@@ -268,15 +153,15 @@ def test_all_doors_say_the_same(name):
         assert all((hit.triangle >= 0) == (hit.name == 'mesh') for hit in every if hit.t > 0.0)
 
 
+@pytest.mark.slow  # kernels of its own; for single rays see `test_mesh_distances`
 @pytest.mark.parametrize('name', FORMS)
 def test_one_that_moves_is_met_where_it_is_by_then(name):
     """Frozen at a time, and while it passes: one by one, all hits, few and many."""
     rng, velocity = np.random.default_rng(4), np.array((0.5, -0.25, 0.125))
     turn, place, second = Rotation.random(random_state=7), np.zeros(3), 10**9
     triangles = FORMS[name]
-    scene = Scene()
     shape = Shapes.of_meshes(Mesh(triangles), place, turn.as_quat())
-    scene.update('us', ['mesh'], shape, stamp=0, velocities=[velocity])
+    scene = scene_of(shape, names=['mesh'], source='us', stamp=0, velocities=[velocity])
     box = Shapes.boxes([(9.0, 9.0, 9.0)], 1.0)
     scene.update('us', ['box'], box, stamp=0, velocities=[velocity])
     local = turn.apply(triangles.reshape(-1, 3)).reshape(-1, 3, 3)
@@ -304,8 +189,8 @@ def test_many_meshes_each_have_rows_of_their_own():
     """Equal triangles that were given in other rows are told apart, also when others are gone."""
     triangles = SOLIDS['ring']
     meshes = [Mesh(triangles), Mesh(with_gaps(triangles)), Mesh(icosphere(1)), Mesh(TETRAHEDRON)]
-    scene, at = Scene(), np.array([(40.0 * k, 0.0, 0.0) for k in range(len(meshes))])
-    scene.update('us', list('abcd'), Shapes.of_meshes(meshes, at), stamp=0)
+    at = np.array([(40.0 * k, 0.0, 0.0) for k in range(len(meshes))])
+    scene = scene_of(Shapes.of_meshes(meshes, at), names=list('abcd'), source='us', stamp=0)
     assert scene.stats()['meshes'] == 4
     starts, goals = at + np.array((0.0, 0.0, 30.0)), at + np.array((0.1, 0.2, -30.0))
     starts[:2, 0] += 12.3
@@ -322,11 +207,6 @@ def test_many_meshes_each_have_rows_of_their_own():
     assert scene.sweep_many(starts, goals).triangles.tolist() == [
         -1, hits.triangles[1], -1, hits.triangles[3]
     ]  # fmt: skip
-
-
-TETRAHEDRON = np.array(
-    [np.delete(np.vstack((np.zeros(3), np.eye(3))), corner, axis=0) for corner in range(4)]
-)
 
 
 # ---- A hit is a value; what has no triangle says so.
@@ -391,8 +271,7 @@ def test_what_has_no_triangle_says_so():
 
 def test_a_scene_without_meshes_and_a_planar_one_have_none():
     for planar in (False, True):
-        scene = Scene(planar=planar)
-        scene.update('us', ['box'], Shapes.boxes([(0, 0, 0)], 1.0), stamp=0)
+        scene = scene_of(Shapes.boxes([(0, 0, 0)], 1.0), planar)
         for _ in range(2):
             hits = scene.sweep_many([[-5, 0, 0], [-5, 3, 0]], [[5, 0, 0], [5, 3, 0]])
             assert hits.t[0] < 1.0

@@ -13,10 +13,11 @@ from decimal import Decimal, localcontext
 from typing import NamedTuple
 
 import numpy as np
+from scene.reference import refilled
 from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
-from bvh_ros.scene import Mesh, Scene, ShapeKind, Shapes
+from bvh_ros.scene import Mesh, ShapeKind, Shapes
 
 BOX, SPHERE, CYLINDER, CAPSULE, MESH = ShapeKind
 FEATURES = {
@@ -270,42 +271,25 @@ def contacts(count, rng, manners, gaps, offsets, kinds=tuple(FEATURES)):
     return made
 
 
-def scene_of(made, planar=False):
-    """Obstacles '0', '1', ...: two a contact."""
-    bodies = [body for one in made for body in one.geometry_arrays]
-    held = np.empty(len(bodies), object)
+def shapes_of(one):
+    bodies, held = one.geometry_arrays, np.empty(2, object)
     held[:] = [body.mesh for body in bodies]
-    shapes = Shapes(
-        np.array([body.kind for body in bodies], np.uint8),
-        np.concatenate([one.positions for one in made]),
-        np.concatenate([one.turns for one in made]),
-        np.array([body.mesh.size if body.mesh else 2 * body.half for body in bodies]),
-        held,
-    )
-    scene = Scene(planar=planar)
-    assert scene.update('test', [str(i) for i in range(len(bodies))], shapes, stamp=1) == []
-    return scene
+    sizes = [body.mesh.size if body.mesh else 2 * body.half for body in bodies]
+    kinds = np.array([body.kind for body in bodies], np.uint8)
+    return Shapes(kinds, one.positions, one.turns, np.array(sizes), held)
 
 
 def answers(one, planar=False):
     """Whether the pair of a contact touches, and its clearance as seen from either side."""
-    scene = scene_of([one], planar)
+    scene = refilled(shapes_of(one), planar)
     return bool(scene.overlap_pairs()), scene.clearance('0'), scene.clearance('1')
-
-
-def shape_of(one, row):
-    body = one.geometry_arrays[row]
-    position, turn = one.positions[row : row + 1], one.turns[row : row + 1]
-    if body.mesh is not None:
-        return Shapes.of_meshes([body.mesh], position, turn)
-    return Shapes(np.array([body.kind], np.uint8), position, turn, 2 * body.half[None])
 
 
 def touches_within(one, tolerance):
     """Whether the first solid of a contact touches the second one, grown by the tolerance."""
-    scene = Scene()
-    scene.update('test', ['it'], shape_of(one, 1), stamp=1)
-    return bool(scene.overlap_shape(shape_of(one, 0), tolerance=tolerance))
+    shapes = shapes_of(one)
+    scene = refilled(shapes.take([1]))
+    return bool(scene.overlap_shape(shapes.take([0]), tolerance=tolerance))
 
 
 def farthest_outside(one, found, planar=False):

@@ -15,13 +15,14 @@ from scene.distance.contacts import (
     answers,
     contacts,
     farthest_outside,
-    scene_of,
+    shapes_of,
     touches_within,
 )
+from scene.reference import scene_of
 from scipy.spatial.transform import Rotation
 from tree.reference import effort
 
-from bvh_ros.scene import Mesh, Scene, Shapes
+from bvh_ros.scene import Mesh, Shapes
 
 COUNT = effort(400, 200_000)  # of each of five kinds
 BATCH = 2000
@@ -95,14 +96,13 @@ def test_a_common_point_beside_cylinders():
 def test_how_many_are_compared_is_told():
     """And of how many GJK alone does not tell: faces that touch along each other, say."""
     turn = Rotation.from_euler('z', 0.3)
-    scene = Scene()
     drums = Shapes(
         np.array([2, 2, 2], np.uint8),
         np.array([[0, 0, 0], turn.apply([1, 0, 0.5]), [0.2, 0.1, 0.3]]),
         turn.as_quat()[None].repeat(3, axis=0),
         np.ones((3, 3)),
     )
-    scene.update('test', ['a', 'b', 'c'], drums, stamp=1)
+    scene = scene_of(drums, names=['a', 'b', 'c'])
     assert (scene.stats()['pairs_compared'], scene.stats()['pairs_in_more_digits']) == (0, 0)
     assert len(scene.overlap_pairs()) == 3
     stats = scene.stats()
@@ -128,7 +128,7 @@ def test_more_digits_are_seldom_needed(manners, gaps):
     made = contacts(300, np.random.default_rng(7), manners, gaps, (0.0,), (BOX, MESH))
     needed = 0
     for one in made:
-        scene = scene_of([one])
+        scene = scene_of(shapes_of(one))
         scene.overlap_pairs()
         needed += scene.stats()['pairs_in_more_digits']
     assert needed <= 0.1 * len(made)
@@ -142,8 +142,7 @@ def test_meshes_far_from_their_own_origin():
     step = 2.0**-36  # 1.5e-11, to the digits of 8192
     for gap in (-step, step):
         meshes = [Mesh(triangles + np.array(at)) for at in ((8192, 0, 0), (8193 + gap, 0.5, 0.3))]
-        scene = Scene()
-        scene.update('test', ['a', 'b'], Shapes.of_meshes(meshes, np.zeros((2, 3))), stamp=1)
+        scene = scene_of(Shapes.of_meshes(meshes, np.zeros((2, 3))), names=['a', 'b'])
         assert len(scene.overlap_pairs()) == (gap < 0)
         assert scene.clearance('a').distance == pytest.approx(max(gap, 0.0), abs=1e-13)
 

@@ -13,10 +13,10 @@ import math
 
 import numpy as np
 import pytest
-from scene.reference import bulging, geometry_arrays, hull_distances, hull_of
+from scene.reference import bulging, geometry_arrays, hull_distances, hull_of, refilled
 from tree.reference import effort, exact_hits
 
-from bvh_ros.scene import NO_NODE, Mesh, NodeScene, ShapeKind, Shapes
+from bvh_ros.scene import NO_NODE, Mesh, ShapeKind, Shapes
 
 SURE = 1e-12  # of L
 BOX, SPHERE, CYLINDER, CAPSULE, MESH = ShapeKind
@@ -59,8 +59,7 @@ class Body:
             self.middle = self.solid.matrix @ middle
             faces = mesh.vertices[mesh.corners[:, 0]] - middle
             self.inner = float(np.einsum('ni,ni->n', mesh.normals, faces).min())
-        self.scene = NodeScene(planar=planar)
-        assert self.scene.update('test', ['it'], shapes, stamp=1) == []
+        self.scene = refilled(shapes, planar)
 
     def farthest(self, normals):
         """Points (n, 3), from the position, of the shape farthest along vectors (n, 3)."""
@@ -207,16 +206,21 @@ def lengths(body, starts, goals, radius):
     return np.maximum(np.maximum(ends.max(axis=(0, 2)), radius), own)
 
 
-def check_hits(body, starts, goals, radius, t, large):
-    """Where a hit is the ball just touches, and it did not before."""
-    if not len(t):
-        return
-    ways = goals - starts
-    for share in (1.0, 0.99, 0.5):
-        gaps = body.gaps(starts + (share * t)[:, None] * ways) - radius
-        assert (gaps >= -SURE * large)[t > 0].all(), share
-        if share == 1.0:
-            assert (gaps <= SURE * large).all()
+def check(body, starts, goals, touch, radius, t):
+    """Check what is met, and that where it is the ball just touches, and did not before; return
+    which are met.
+    """
+    large, hit = lengths(body, starts, goals, radius), np.isfinite(t)
+    wrong = np.where(hit, touch < -SURE * large, touch > SURE * large)
+    assert not wrong.any(), (hit[wrong], radius[wrong], touch[wrong], large[wrong])
+    if hit.any():
+        starts, ways, t, large = starts[hit], (goals - starts)[hit], t[hit], large[hit]
+        for share in (1.0, 0.99, 0.5):
+            gaps = body.gaps(starts + (share * t)[:, None] * ways) - radius[hit]
+            assert (gaps >= -SURE * large)[t > 0].all(), share
+            if share == 1.0:
+                assert (gaps <= SURE * large).all()
+    return hit
 
 
 KINDS = [(kind, planar) for kind in ShapeKind for planar in (False, True)]
@@ -230,14 +234,9 @@ def test_thin_rays(kind, planar):
         body = Body(rng, kind, planar)
         starts, goals, touch = segments(rng, body, 400, none)
         begin, end = starts + body.position, goals + body.position
-        large = lengths(body, starts, goals, none)
         handles, t, _, normals = body.scene.raycast_many(begin, end - begin, 1.0)
-        hit = handles != NO_NODE
-        missed = ~hit & (touch > SURE * large)
-        assert not missed.any(), (touch[missed], large[missed])
-        false = hit & (touch < -SURE * large)
-        assert not false.any(), (touch[false], large[false])
-        check_hits(body, starts[hit], goals[hit], 0.0, t[hit], large[hit])
+        hit = check(body, starts, goals, touch, none, t)
+        assert ((handles != NO_NODE) == hit).all()
         lengths_of = np.linalg.norm(normals[hit], axis=1)
         assert (np.abs(lengths_of - 1) < 1e-9)[t[hit] > 0].all()
         for row in rng.integers(0, 400, effort(10, 40)):
@@ -259,16 +258,10 @@ def test_balls(kind, planar):
         radius = 10.0 ** rng.uniform(-9, 1, count) * body.size
         starts, goals, touch = segments(rng, body, count, radius)
         begin, end = starts + body.position, goals + body.position
-        large = lengths(body, starts, goals, radius)
         asked = list(zip(begin, end, radius.tolist(), strict=True))
         found = [body.scene.raycast(*row) for row in asked]
-        hit = np.array([one is not None for one in found])
         t = np.array([one.t if one else np.inf for one in found])
-        missed = ~hit & (touch > SURE * large)
-        assert not missed.any(), (radius[missed], touch[missed], large[missed])
-        false = hit & (touch < -SURE * large)
-        assert not false.any(), (radius[false], touch[false], large[false])
-        check_hits(body, starts[hit], goals[hit], radius[hit], t[hit], large[hit])
+        hit = check(body, starts, goals, touch, radius, t)
         for row in range(0, count, 8):
             every = body.scene.raycast_all(*asked[row])
             assert [one.t for one in every] == ([t[row]] if hit[row] else [])

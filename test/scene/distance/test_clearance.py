@@ -6,15 +6,14 @@ boxes.
 
 import numpy as np
 import pytest
-from scene.reference import hull_of
+from scene.reference import hull_of, scene_of
 
-from bvh_ros.scene import Mesh, Scene, Shapes
+from bvh_ros.scene import Mesh, Shapes
 
 
 def test_axis_aligned_boxes_exactly():
-    scene = Scene()
     shapes = Shapes.boxes([[0, 0, 0], [4, 1, 9], [3, 4, 0]], [[2, 2, 2], [2, 2, 2], [2, 2, 2]])
-    scene.update('test', ['a', 'b', 'c'], shapes, stamp=1)
+    scene = scene_of(shapes, names=['a', 'b', 'c'])
     found = scene.clearance('a')
     assert (found.distance, found.name) == (np.sqrt(5.0), 'c')
     assert (found.point.tolist(), found.other_point.tolist()) == ([1, 1, 0], [2, 3, 0])
@@ -32,9 +31,7 @@ def test_the_first_of_many_as_near_at_a_time(nudge):
     rng = np.random.default_rng(3)
     corners = rng.integers(-4, 5, (400, 3)) + np.where(rng.random((400, 1)) < 0.5, 0.0, nudge)
     speeds = rng.integers(-2, 3, (400, 3)).astype(float)
-    scene = Scene()
-    names = [f'{i:03}' for i in range(400)]
-    scene.update('test', names, Shapes.boxes(corners, (1, 1, 1)), stamp=0, velocities=speeds)
+    scene = scene_of(Shapes.boxes(corners, (1, 1, 1)), stamp=0, velocities=speeds)
     places = rng.integers(-9, 10, (300, 3)).astype(float)
     handles, distances, points, others = scene.clearance_many(
         Shapes.boxes(places, (1, 1, 1)), at=1_000_000_000
@@ -57,8 +54,7 @@ def test_meshes_apart_in_one_box():
     corner = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], float)
     faces = corner[[[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]]]
     meshes = [Mesh(faces), Mesh(1.0 - faces)]
-    scene = Scene()
-    scene.update('test', ['a', 'b'], Shapes.of_meshes(meshes, np.zeros((2, 3))), stamp=1)
+    scene = scene_of(Shapes.of_meshes(meshes, np.zeros((2, 3))), names=['a', 'b'])
     assert scene.overlap_pairs() == []
     found = scene.clearance('a')
     assert found.distance == pytest.approx(1 / np.sqrt(3))
@@ -78,29 +74,14 @@ def test_a_corner_next_to_the_foot_of_an_edge_is_not_lost():
     turn = [0.39079225778914123, -0.7677200925595162, -0.3950377768121889, 0.3191119327504951]
     nearly = [0.3907922576480083, -0.7677200926380268, -0.3950377768610538, 0.3191119326739578]
     size = [1.5240712412707102, 1.8409593686503811, 0.9771056534053408]
-    scene = Scene()
-    scene.update('test', ['box'], Shapes.boxes([place], size, [turn]), stamp=1)
+    scene = scene_of(Shapes.boxes([place], size, [turn]), names=['box'])
     scene.update('test', ['mesh'], Shapes.of_meshes([mesh], [other], [nearly]), stamp=1)
     for name in ('box', 'mesh'):
         assert abs(scene.clearance(name).distance - 8.0890292e-11) < 1e-13
 
 
-def test_seen_from_above():
-    scene = Scene(planar=True)
-    half_turn = [0, 0, np.sin(np.pi / 8), np.cos(np.pi / 8)]
-    scene.update('test', ['a', 'b'], Shapes.boxes([[0, 0, 0], [3, 0, 50]], [1, 1, 1]), stamp=1)
-    found = scene.clearance('a')
-    assert (found.distance, found.other_point.tolist()) == (2.0, [2.5, 0.0, 0.0])
-    turned = Shapes.boxes([[3, 0, 50]], [1, 1, 1], [half_turn])
-    scene.update('test', ['b'], turned, stamp=2)
-    found = scene.clearance('a')
-    assert found.distance == pytest.approx(2.5 - np.sqrt(0.5))
-    assert found.other_point == pytest.approx([3 - np.sqrt(0.5), 0, 0])
-
-
 def test_alone_or_unknown():
-    scene = Scene()
-    scene.update('test', ['a'], Shapes.boxes([[0, 0, 0]], [1, 1, 1]), stamp=1)
+    scene = scene_of(Shapes.boxes([[0, 0, 0]], [1, 1, 1]), names=['a'])
     assert scene.clearance('a') is None
     with pytest.raises(KeyError):
         scene.clearance('b')

@@ -9,8 +9,16 @@ from fractions import Fraction
 import numpy as np
 import pytest
 from scene.distance.contacts import rotation
-from scene.reference import bulging, geometry_arrays, hull_of, random_shapes, scene_of
-from turns import unit_quaternions
+from scene.reference import (
+    bulging,
+    changed,
+    geometry_arrays,
+    hull_of,
+    random_shapes,
+    random_turns,
+    refilled,
+    scene_of,
+)
 
 from bvh_ros.scene import Mesh, Scene, Shapes
 
@@ -19,13 +27,12 @@ ASIDE = [0, 0, math.sin(math.pi / 8), math.cos(math.pi / 8)]
 
 
 def shape(kind, size, place=(0, 0, 0), turn=(0, 0, 0, 1)):
-    rows = Shapes.boxes([place], size, [turn])
-    return rows._replace(kind=np.array([kind], np.uint8))
+    return Shapes([kind], [place], [turn], size)
 
 
 def depth(one, other, planar=False):
     """(distance, point, other point) of a shape and an obstacle."""
-    told = scene_of(other, planar).clearance_many(one, signed=True)
+    told = refilled(other, planar).clearance_many(one, signed=True)
     return told[1].item(), told[2][0], told[3][0]
 
 
@@ -33,7 +40,7 @@ class Body:
     """A shape by how far it reaches; of a mesh `triangles` are in its frame."""
 
     def __init__(self, rows, triangles=None):
-        self.solid = geometry_arrays(rows._replace(mesh=None))[0]
+        self.solid = geometry_arrays(rows)[0]
         self.triangles = triangles
 
     def reach(self, normals):
@@ -104,10 +111,8 @@ def with_meshes(rng, rows):
     if rng.random() < 0.7:
         return rows, None
     triangles = bulging(rng, int(rng.choice([6, 20, 40])))
-    mesh = Mesh(triangles)
-    return Shapes.of_meshes(
-        [mesh], rows.position, unit_quaternions(rng.normal(size=(1, 4)))
-    ), triangles
+    placed = Shapes.of_meshes([Mesh(triangles)], rows.position, random_turns(rng, 1))
+    return placed, triangles
 
 
 @pytest.mark.slow
@@ -133,8 +138,7 @@ def test_shapes_that_lie_along_each_other():
     touching = 0
     for kind, other_kind in itertools.product(range(5), repeat=2):
         for nearly in NEARLY:
-            turn = rng.normal(size=4)
-            turn /= np.linalg.norm(turn)
+            (turn,) = random_turns(rng, 1)
             pair = []
             for number in (kind, other_kind):
                 a, b, c = rng.choice(sizes, 3)
@@ -262,7 +266,7 @@ def test_points_in_shapes(planar):
         for scale in (1.0, 2.0**-900, 2.0**900, 1e-150, 1e150):
             rows = shape(kind, np.multiply(size, scale), turn=turn)
             where = matrix @ place * scale
-            hit = scene_of(rows, planar).nearest(where, signed=True)[0]
+            hit = refilled(rows, planar).nearest(where, signed=True)[0]
             assert hit.t == pytest.approx(expected * scale, abs=1e-14 * scale)
             assert np.linalg.norm(hit.normal) == pytest.approx(1.0)
             assert hit.point == pytest.approx(where - hit.t * hit.normal, abs=1e-10 * scale)
@@ -289,16 +293,16 @@ def test_the_same_from_either_side_and_at_any_scale():
     for _ in range(60):
         rows = random_shapes(rng, 2, 0.5)
         place = np.round(rows.position * 2.0**30) * 2.0**-30
-        rows = rows._replace(position=place)
+        rows = changed(rows, position=place)
         one, other = rows.take([0]), rows.take([1])
         distance, point, other_point = depth(one, other)
         back = depth(other, one)
         assert back[0] == distance
         np.testing.assert_array_equal([back[2], back[1]], [point, other_point])
         for scale in (2.0**-700, 2.0**700):
-            larger = rows._replace(position=place * scale, size=rows.size * scale)
+            larger = changed(rows, position=place * scale, size=rows.size * scale)
             assert depth(larger.take([0]), larger.take([1]))[0] == distance * scale
-        far = rows._replace(position=place + 4096.0)
+        far = changed(rows, position=place + 4096.0)
         assert depth(far.take([0]), far.take([1]))[0] == pytest.approx(distance, abs=1e-12)
 
 

@@ -18,12 +18,13 @@ from scene.distance.contacts import (
     answers,
     contact,
     farthest_outside,
-    scene_of,
+    shapes_of,
     touches_within,
 )
+from scene.reference import refilled, scene_of
 from turns import unit_quaternions
 
-from bvh_ros.scene import Scene, Shapes
+from bvh_ros.scene import Shapes
 
 ROUND_FEATURES = [(CYLINDER, feature) for feature in FEATURES[CYLINDER]]
 OTHERS = [
@@ -63,7 +64,7 @@ def test_every_feature_of_a_cylinder(sizes, sign):
         if gap > min(sizes) / 20:
             continue
         for one in every(sizes, sign * gap, rng):
-            assert bool(scene_of([one]).overlap_pairs()) == (sign < 0), one
+            assert bool(refilled(shapes_of(one)).overlap_pairs()) == (sign < 0), one
             assert touches_within(one, 0.0) == (sign < 0), one
 
 
@@ -105,7 +106,6 @@ def test_exact_contacts(position, size, turn, away):
         places = np.array([(0, 0, 0), position + gap * np.array(away)])
         turns = unit_quaternions(np.array([(0, 0, 0, 1), turn or (0, 0, 0, 1)], float))
         sizes = np.array([(10, 10, 20), size], float)
-        scene = Scene()
-        scene.update('a', ['a', 'b'], Shapes(kind, places, turns, sizes), stamp=1)
+        scene = scene_of(Shapes(kind, places, turns, sizes), names=['a', 'b'], source='a')
         assert len(scene.overlap_pairs()) == (gap == 0.0)
         assert scene.clearance('a').distance == pytest.approx(gap, abs=2e-14)

@@ -7,7 +7,7 @@ from fractions import Fraction
 import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
-from scene.reference import bulging, hull_of, random_shapes
+from scene.reference import bulging, changed, hull_of, random_shapes, random_turns, scene_of
 from scipy.spatial.transform import Rotation, Slerp
 
 from bvh_ros.scene import NO_NODE, Mesh, Scene, ShapeKind, Shapes
@@ -15,11 +15,6 @@ from bvh_ros.scene import NO_NODE, Mesh, Scene, ShapeKind, Shapes
 Long = np.longdouble
 SECOND = 10**9
 UPRIGHT = [0.0, 0.0, 0.0, 1.0]
-
-
-def random_turns(rng, count):
-    turns = rng.normal(size=(count, 4))
-    return turns / np.linalg.norm(turns, axis=1, keepdims=True)
 
 
 def product(p, q):
@@ -110,9 +105,8 @@ def test_grazing_is_never_free(kind, motion, scale, resolution):
     good = (least > 1e-3 * scale) & (when > 1e-6) & (when < 1 - 1e-6)
     assert good.sum() > count / 4
     diameters = np.where(good, 2 * (least + graze), 1e-3 * scale).astype(float)
-    scene, resolution = Scene(), resolution * scale
-    names = [str(i) for i in range(count)]
-    scene.update('a', names, Shapes.spheres(balls, diameters / 2), stamp=1)
+    resolution = resolution * scale
+    scene = scene_of(Shapes.spheres(balls, diameters / 2))
     shape = Shapes([kind], np.zeros((1, 3)), [UPRIGHT], size[None])
     found = scene.sweep_shape_many(shape, starts, turns, goals, goal_turns, resolution=resolution)
     free, radii = np.isinf(found.t), diameters.astype(Long) / 2
@@ -146,8 +140,15 @@ def random_shape(rng, kind):
     return shapes.take([int(np.argmax(shapes.kind == kind))])
 
 
-@pytest.mark.parametrize('planar', [False, True])
-@pytest.mark.parametrize('moving', [False, True])
+@pytest.mark.parametrize(
+    ('moving', 'planar'),
+    [
+        (False, False),
+        (False, True),
+        (True, False),
+        pytest.param(True, True, marks=pytest.mark.slow),
+    ],
+)
 @pytest.mark.parametrize('kind', list(ShapeKind))
 def test_it_agrees_with_many_poses(kind, moving, planar):
     rng = np.random.default_rng([kind, moving, planar])
@@ -187,7 +188,7 @@ def test_it_agrees_with_many_poses(kind, moving, planar):
             options = {'tolerance': 0.05, **some}
             assert scene.overlap_shape_many(shape, places[near], poses[near], **options).any()
         one = scene.sweep_shape(
-            shape._replace(position=starts[i : i + 1], orientation=turns[i : i + 1]),
+            changed(shape, position=starts[i : i + 1], orientation=turns[i : i + 1]),
             *(goals[i], goal_turns[i]),
             **span,
         )
@@ -228,9 +229,9 @@ def test_boxes_that_do_not_turn_are_as_swept_boxes():
     rng = np.random.default_rng(6)
     lo = rng.uniform(-5.0, 5.0, (80, 3))
     hi = lo + rng.uniform(0.1, 1.0, (80, 3))
-    tree, scene = DynamicBVH(), Scene()
+    tree = DynamicBVH()
     tree.insert_many(lo, hi)
-    scene.update('a', list(map(str, range(80))), Shapes.boxes((lo + hi) / 2, hi - lo), stamp=1)
+    scene = scene_of(Shapes.boxes((lo + hi) / 2, hi - lo))
     size = np.array([0.6, 0.4, 0.3])
     starts, goals = rng.uniform(-6.0, 6.0, (2, 200, 3))
     found = scene.sweep_shape_many(Shapes.boxes([0, 0, 0], size), starts, None, goals)
@@ -243,8 +244,7 @@ def test_boxes_that_do_not_turn_are_as_swept_boxes():
 
 
 def test_a_half_turn_goes_as_the_signs_say():
-    scene = Scene()
-    scene.update('a', ['left', 'right'], Shapes.spheres([[0, 2, 0], [0, -2, 0]], 0.1), stamp=1)
+    scene = scene_of(Shapes.spheres([[0, 2, 0], [0, -2, 0]], 0.1), names=['left', 'right'])
     corners = [[x, y, z] for x in (0.0, 3.0) for y in (-0.1, 0.1) for z in (-0.1, 0.1)]
     rod = Shapes.of_meshes([Mesh(hull_of(corners))], [0.0, 0.0, 0.0])
     for sign, name in ((1.0, 'left'), (-1.0, 'right')):
@@ -252,7 +252,7 @@ def test_a_half_turn_goes_as_the_signs_say():
         assert hit.name == name
         assert hit.t == pytest.approx(0.5, abs=0.05)
     # A quaternion and its negative are the same pose, but not the same half turn.
-    turned = rod._replace(orientation=np.array([[0.0, 0.0, 0.0, -1.0]]))
+    turned = changed(rod, orientation=np.array([[0.0, 0.0, 0.0, -1.0]]))
     assert scene.sweep_shape(turned, [0, 0, 0], [0.0, 0.0, 1.0, 0.0]).name == 'right'
     # The nearest doubles to half a turn on either side.
     tiny = 1e-300
@@ -262,15 +262,14 @@ def test_a_half_turn_goes_as_the_signs_say():
 
 @pytest.mark.parametrize('resolution', [1e-2, 1e-6, 1e-12])
 def test_it_ends_in_extreme_cases(resolution):
-    scene = Scene()
     wall = Shapes.boxes([[0, 0, -1], [0, 0, 5]], [[100, 100, 2], [2, 2, 2]])
-    scene.update('a', ['floor', 'block'], wall, stamp=1)
+    scene = scene_of(wall, names=['floor', 'block'])
     given = {'resolution': resolution}
     box = Shapes.boxes([-40.0, 20.0, 0.15], [0.6, 0.4, 0.3])
     # It lies on the floor, or slides along it, closer than the resolution or farther.
     assert scene.sweep_shape(box, box.position[0], **given).t == 0.0
     for height, touches in ((0.15, True), (0.15 + 3e-2, False), (0.15 - 1e-3, True)):
-        moved = box._replace(position=np.array([[-40.0, 20.0, height]]))
+        moved = changed(box, position=np.array([[-40.0, 20.0, height]]))
         hit = scene.sweep_shape(moved, [40.0, 20.0, height], [0.0, 0.0, 1.0, 0.0], **given)
         assert (hit is not None) == touches
     # From there it lifts off: touching at the start is contact.
@@ -280,13 +279,12 @@ def test_it_ends_in_extreme_cases(resolution):
     hit = scene.sweep_shape(far, [1e6, 0.0, 5.0], [0.0, 0.6, 0.0, 0.8], **given)
     assert hit.name == 'block'
     assert (1e6 - 1.0) / 2e6 - 2e-2 / 2e6 <= hit.t <= (1e6 - 1.0) / 2e6 + 1e-12
-    off = far._replace(position=np.array([[-1e6, 1.1, 5.0]]))
+    off = changed(far, position=np.array([[-1e6, 1.1, 5.0]]))
     assert scene.sweep_shape(off, [1e6, 1.1, 5.0], [0.0, 0.6, 0.0, 0.8], **given) is None
 
 
 def test_where_it_starts_in_an_obstacle_the_normal_is_zero():
-    scene = Scene()
-    scene.update('a', ['x'], Shapes.boxes([0, 0, 0], [2, 2, 2]), stamp=1)
+    scene = scene_of(Shapes.boxes([0, 0, 0], [2, 2, 2]), names=['x'])
     hit = scene.sweep_shape(Shapes.boxes([0.5, 0, 0], [1, 1, 1]), [9, 0, 0], [0, 0, 1, 0])
     assert (hit.name, hit.t, hit.normal.tolist()) == ('x', 0.0, [0.0, 0.0, 0.0])
     hit = scene.sweep_shape(Shapes.boxes([5, 0.2, 0.1], [1, 1, 1]), [0, 0.2, 0.1])
@@ -296,8 +294,8 @@ def test_where_it_starts_in_an_obstacle_the_normal_is_zero():
 
 
 def test_masks_and_tolerances_count():
-    scene, crates = Scene(), Shapes.boxes([[2, 0, 0], [5, 0, 0]], [1, 1, 1])
-    scene.update('a', ['near', 'far'], crates, stamp=1, categories=[1, 2])
+    crates = Shapes.boxes([[2, 0, 0], [5, 0, 0]], [1, 1, 1])
+    scene = scene_of(crates, names=['near', 'far'], categories=[1, 2])
     box = Shapes.boxes([0, 0, 0], [1, 1, 1])
     assert scene.sweep_shape(box, [9, 0, 0]).name == 'near'
     assert scene.sweep_shape(box, [9, 0, 0], mask=2).name == 'far'
@@ -346,8 +344,7 @@ def test_a_tilted_plate_turns_below_a_ball_on_its_axis(gap):
     """Their distance stays the same, so no plane at rest keeps them apart for long."""
     tilt, turn = 0.3, 1.5
     height = (1.5 + gap) / np.cos(tilt)
-    scene = Scene()
-    scene.update('a', ['ball'], Shapes.spheres([[0.0, 0.0, height]], 1.0), stamp=1)
+    scene = scene_of(Shapes.spheres([[0.0, 0.0, height]], 1.0), names=['ball'])
     first = Rotation.from_rotvec([tilt, 0.0, 0.0])
     last = Rotation.from_rotvec([0.0, 0.0, turn]) * first
     plate = Shapes.boxes([0.0, 0.0, 0.0], [4.0, 4.0, 1.0], first.as_quat())
@@ -370,8 +367,7 @@ def test_a_mesh_far_from_its_origin_and_the_worlds():
         tolerance = float(gap)
         if Fraction(tolerance) < gap:
             tolerance = float(np.nextafter(tolerance, 9.0))
-        scene = Scene()
-        scene.update('a', ['mesh'], Shapes.of_meshes([mesh], [[0.0, 0.0, z]]), stamp=1)
+        scene = scene_of(Shapes.of_meshes([mesh], [[0.0, 0.0, z]]), names=['mesh'])
         ball = Shapes.spheres([[8.0, 12.2, above]], 0.25)
         missed += (
             scene.sweep_shape(ball, [16.0, 12.2, above], None, tolerance, resolution=1e-9) is None
@@ -390,8 +386,7 @@ def test_ties_go_to_the_smaller_handle():
         assert scene.sweep_shape(box, [10.0, 0.0, 0.0]).name == '0'
         turn = random_turns(rng, 1)[0]
         assert scene.sweep_shape(box, [10.0, 0.2, 0.0], turn).name == '0'
-    scene = Scene()  # both are within the resolution at the start
-    scene.update('a', ['1', '2'], Shapes.boxes([[5, 0, 0], [9, 0, 0]], [1, 1, 1]), stamp=1)
+    scene = scene_of(Shapes.boxes([[5, 0, 0], [9, 0, 0]], [1, 1, 1]), names=['1', '2'])
     assert scene.sweep_shape(box, [10.0, 0.0, 0.0], resolution=9.0).name == '1'
 
 
@@ -401,9 +396,8 @@ def test_an_arm_turns_round_a_column():
     arm = Shapes.of_meshes([Mesh(hull_of(corners))], [0.0, 0.0, 0.0])
     goal = [0.0, 0.0, 0.0], [0.0, 0.0, np.sin(1.5), np.cos(1.5)]
     for planar in (False, True):
-        scene = Scene(planar=planar)
         column = Shapes.cylinders([[0.0, 0.0, 0.0]], 10.0 - 1.2e-4, 1.0)
-        scene.update('a', ['column'], column, stamp=1)
+        scene = scene_of(column, planar=planar, names=['column'])
         assert scene.sweep_shape(arm, *goal) is None
         assert scene.sweep_shape(arm, *goal, resolution=1e-6) is None
         assert scene.sweep_shape(arm, *goal, resolution=1e-3).t == 0.0
@@ -411,9 +405,9 @@ def test_an_arm_turns_round_a_column():
 
 def test_an_obstacle_far_from_where_it_was_told():
     """921.9 m/s for 64 s: where it is then is rounded, and a touch is not free for that."""
-    scene, z = Scene(), 59224.33241751894
+    z = 59224.33241751894
     crate = Shapes.boxes([[0.0, 0.0, 1.0021521802443287]], [1.0, 1.0, 1.0])
-    scene.update('a', ['x'], crate, stamp=0, velocities=[[0.0, 0.0, 921.9040736673851]])
+    scene = scene_of(crate, names=['x'], stamp=0, velocities=[[0.0, 0.0, 921.9040736673851]])
     box = Shapes.boxes([[-3.0, 0.0, z]], [0.5, 0.5, 0.5])
     given = {'tolerance': 0.7500000000018653, 'resolution': 1e-12, 'at': 64238603513}
     assert scene.sweep_shape(box, [2.0, 0.0, z], **given) is not None

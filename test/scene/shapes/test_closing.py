@@ -7,16 +7,14 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
-from scene.reference import box_of_triangles, scene_of
-from scene.shapes.test_any_mesh import SOLIDS, SURFACES, segments
+from scene.meshes import CUBE, SOLIDS, SURFACES, TETRAHEDRON, segments, single
+from scene.reference import scene_of
 
 from bvh_ros.scene import Mesh, Shapes
 
 HALF_NOISE = 2.0**-23  # of a mesh's size, or where it is float32, of how far it lies
 SHEET = np.array([[(0, 0, 0), (1, 0, 0), (1, 1, 0)], [(0, 0, 0), (1, 1, 0), (0, 1, 0)]]) * 1.0
-TETRAHEDRON = np.eye(4)[:, :3][[[0, 1, 2], [0, 1, 3], [0, 2, 3], [1, 2, 3]]]
 SPECK = np.eye(3)[None]
-CUBE = box_of_triangles((1.0, 1.0, 1.0))
 RING = SOLIDS['ring'] / 30.0
 
 
@@ -25,10 +23,6 @@ def parted(triangles, rng):
     near = np.float32(triangles)
     other = np.nextafter(near, np.where(near < triangles, np.inf, -np.inf).astype(np.float32))
     return np.where(rng.random(triangles.shape) < 0.5, near, other).astype(float)
-
-
-def single(triangles):
-    return np.float32(triangles).astype(float)
 
 
 def at(place, triangles):
@@ -116,14 +110,18 @@ def test_every_given_triangle_is_there(seed):
 
 @pytest.mark.parametrize('name', [name for name in (*SOLIDS, *SURFACES) if name != 'wall'])
 def test_a_triangle_that_is_repeated_counts_once(name):
-    """Else one that an exporter wrote twice would open a solid, or a part be empty by parity."""
+    """Else one that an exporter wrote twice would open a solid, or a part be empty by parity; and
+    a sheet that is wound on both sides would be closed.
+    """
     rng, triangles = np.random.default_rng(3), (SOLIDS | SURFACES)[name]
     again = rng.integers(0, len(triangles), rng.integers(1, 9))
     for other in (
         np.concatenate((triangles, triangles[again][:, [1, 0, 2]])),
         np.concatenate((triangles, triangles[: len(triangles) // 2])),
+        np.concatenate((triangles, triangles[:, ::-1])),
     ):
         one, more = Mesh(triangles), Mesh(other)
+        assert not more.convex
         assert (more.closed, more.solid, more.key) == (one.closed, one.solid, one.key)
         assert more.dropped == len(other) - len(triangles)
         starts, goals = segments(triangles, 300, rng)
@@ -132,6 +130,10 @@ def test_a_triangle_that_is_repeated_counts_once(name):
             for mesh in (one, more)
         ]
         assert np.array_equal(hits[0].t, hits[1].t)
+        assert np.array_equal(hits[0].triangles, hits[1].triangles)
+        if not one.closed:
+            with pytest.raises(ValueError, match='a solid mesh must be closed'):
+                Mesh(other, solid=True)
 
 
 NEXT = at((1, 0, 0), CUBE)  # it shares a wall with the cube: two triangles that both have

@@ -6,7 +6,8 @@ decade of size, however finely the surface is cut, however gently it bends inwar
 
 import numpy as np
 import pytest
-from scene.cast.test_surface import CUBE, cut_cube, shuffled, single, turned
+from scene.cast.test_surface import shuffled, turned
+from scene.meshes import CUBE, cut_cube, single
 from scene.reference import bulging, icosphere, scene_of
 from scipy.spatial import ConvexHull
 

@@ -3,24 +3,11 @@
 """The farthest vertex against all of them, above all on fine flat faces rounded to float32."""
 
 import numpy as np
+from scene.meshes import cut_cube
 from scene.reference import scene_of
 from scipy.spatial.transform import Rotation
 
 from bvh_ros.scene import Mesh, Shapes
-
-
-def grid_cube(cells):
-    """A cube of 1 m whose faces are cells x cells squares."""
-    steps = np.linspace(-0.5, 0.5, cells + 1)
-    a, b = np.meshgrid(steps, steps, indexing='ij')
-    parts = []
-    for axis in range(3):
-        for side in (-0.5, 0.5):
-            place = np.empty((cells + 1, cells + 1, 3))
-            place[..., axis], place[..., axis - 2], place[..., axis - 1] = side, a, b
-            corners = place[:-1, :-1], place[1:, :-1], place[1:, 1:], place[:-1, 1:]
-            parts += [np.stack(corners[:3], 2), np.stack((corners[0], *corners[2:]), 2)]
-    return np.concatenate([part.reshape(-1, 3, 3) for part in parts])
 
 
 def as_published(triangles, offset, seed):
@@ -32,7 +19,7 @@ def as_published(triangles, offset, seed):
 
 def test_a_vertex_in_a_box_is_never_free():
     """Boxes that a face of a fine mesh enters with one vertex, along every face's normal."""
-    mesh = Mesh(as_published(grid_cube(32), 1000.0, 5))
+    mesh = Mesh(as_published(cut_cube(32), 1000.0, 5))
     scene = scene_of(Shapes.of_meshes([mesh], [[0, 0, 0]]))
     places = mesh.vertices + mesh.centre
     rng = np.random.default_rng(6)

@@ -2,51 +2,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """Convex meshes: against the same solids given otherwise, and python-fcl."""
 
-import math
-
 import numpy as np
 import pytest
 from scene.inside import store_of
-from scene.reference import box_of_triangles, bulging, scene_of
+from scene.meshes import CUBE, SOLIDS
+from scene.reference import icosphere, scene_of
+from turns import unit_quaternions
 
-from bvh_ros.scene import Mesh, Scene, ShapeKind, Shapes, mesh_of
-
-CUBE = box_of_triangles((1, 1, 1))
-
-
-@pytest.mark.parametrize(
-    ('triangles', 'words'),
-    [
-        (np.empty((0, 3, 3)), 'must have shape'),
-        (np.zeros((4, 3)), 'must have shape'),
-        (
-            np.where(np.arange(108).reshape(12, 3, 3) == 9, np.nan, CUBE),
-            'triangle 1 is not finite',
-        ),
-        (CUBE[:-1], 'not closed'),
-        (CUBE[:1], 'flat'),
-        (np.concatenate([CUBE, [[*CUBE[0, :2], (0, 0, 0)]]]), 'triangle 0 belongs to 3 triangles'),
-        (np.full((3, 3, 3), 0.1), 'no triangle with an area'),
-        (CUBE * (1, 1, 1e-8), 'flat'),
-        (np.concatenate([CUBE[:1], CUBE[:1]]), 'flat'),
-        (np.concatenate([CUBE, CUBE + 3.0]), 'convex'),
-        (CUBE * 1e-150, 'too small'),
-    ],
-)
-def test_what_is_no_convex_solid_is_refused(triangles, words):
-    with pytest.raises(ValueError, match=words):
-        mesh_of(np.asarray(triangles, np.float64), 'convex')
-
-
-def test_a_dent_is_refused_and_float32_is_not():
-    rng = np.random.default_rng(1)
-    round_one = bulging(rng, 200)
-    assert len(Mesh(round_one.astype(np.float32)).vertices) == 200
-    dented = (
-        np.where((round_one == round_one[0, 0]).all(axis=2, keepdims=True), 0.3, 1) * round_one
-    )
-    with pytest.raises(ValueError, match='not convex'):
-        mesh_of(dented, 'convex')
+from bvh_ros.scene import Mesh, ShapeKind, Shapes
 
 
 def test_corners_stay_apart_whose_bits_are_summed_to_one_number():
@@ -65,46 +28,34 @@ def test_corners_stay_apart_whose_bits_are_summed_to_one_number():
         assert {*map(tuple, mesh.vertices)} == {*map(tuple, corners)}
 
 
-def test_a_row_needs_its_mesh():
-    cube = Mesh(CUBE)
-    rows = Shapes.of_meshes([cube, cube], np.zeros((2, 3)))
-    assert rows.mesh is not None
-    rows.mesh[0] = None
-    scene = Scene()
-    (refusal,) = scene.update('test', ['a', 'b'], rows, stamp=1)
-    assert (refusal.name, 'needs its Mesh' in refusal.reason) == ('a', True)
-    (refusal,) = scene.update(
-        'test', ['c'], rows.take([1])._replace(size=np.ones((1, 3)) * 2), stamp=1
-    )
-    assert 'size of it' in refusal.reason
-
-
-def test_an_inside_counts():
-    """A mesh is solid: what is wholly within it touches it."""
-    scene = scene_of(
-        Shapes.of_meshes([Mesh(box_of_triangles((4, 4, 4)))], [(0, 0, 0)], [(0.1, 0.2, 0, 0.97)])
-    )
-    assert scene.overlap((0, 0, 0), (0.1, 0.1, 0.1))[0].t == 0.0
-    assert scene.overlap((0, 0, 0), (0, 0, 0))[0].normal.tolist() == [0, 0, 0]
-    assert scene.raycast((0, 0, 0), (9, 0, 0)).t == 0.0
-    assert scene.raycast((0, 0, 0), (9, 0, 0), 0.1).t == 0.0
-    assert scene.raycast((0, 0, 0), (9, 0, 0), skip_inside=True) is None
-
-
-def test_a_mesh_is_kept_once_and_forgotten_with_its_last_obstacle():
-    mesh, other = CUBE, CUBE * 2
-    scene = scene_of(Shapes.of_meshes([Mesh(mesh), Mesh(mesh), Mesh(other)], np.eye(3) * 9))
+@pytest.mark.parametrize(
+    ('triangles', 'planar'), [(CUBE, False), (icosphere(3), True), (SOLIDS['ring'] / 8.0, True)]
+)
+def test_a_mesh_is_kept_once_while_it_only_moves_and_goes_with_its_last_obstacle(
+    triangles, planar
+):
+    """In a planar scene so is its polygon, or the shadow of one that is not convex."""
+    meshes = [Mesh(triangles), Mesh(triangles), Mesh(triangles * 2)]
+    tilted = unit_quaternions(np.array([(0.3, 0.1, 0.2, 0.93)] * 3))
+    scene = scene_of(Shapes.of_meshes(meshes, np.eye(3) * 9, tilted), planar)
     store = store_of(scene).columns.meshes
-    assert len(store) == 2
-    first = store.hulls
-    moved = Shapes.of_meshes([Mesh(mesh)], [(5, 5, 5)])
+    assert len(store) == scene.stats()['meshes'] == 2
+    before, hulls = store[0], store.hulls
+    moved = Shapes.of_meshes([Mesh(triangles)], [(50, 2, 3)], tilted[:1])
     assert scene.update('test', ['0'], moved, stamp=2) == []
-    assert store.hulls is first
-    assert scene.raycast((5, 5, 0), (5, 5, 9)).name == '0'
+    assert store[0] is before
+    assert store.hulls is hulls
+    assert scene.raycast((50, -9, 3), (50.1, 9, 3), 0.5).name == '0'
+    turned = Shapes.of_meshes([Mesh(triangles)], [(50, 2, 3)], [(0, 0, 0.6, 0.8)])
+    assert scene.update('test', ['0'], turned, stamp=3) == []
+    assert len(store) == scene.stats()['meshes'] == 2 + planar
     scene.remove('test', ['2'])
-    assert len(store) == 1
-    assert scene.update('test', ['0', '1'], Shapes.boxes(np.eye(3)[:2], (1, 1, 1)), stamp=3) == []
-    assert len(store) == 0
+    assert len(store) == 1 + planar
+    assert scene.update('test', ['0', '1'], Shapes.boxes(np.eye(3)[:2], 1), stamp=4) == []
+    assert len(store) == scene.stats()['meshes'] == 0
     assert store_of(scene).columns.hulls is None
     assert scene.get('0').kind == ShapeKind.BOX
-    assert math.isclose(scene.raycast((1, 0, -5), (1, 0, 5)).t, 0.45)
+    assert scene.raycast((1, -5, 0), (1, 5, 0)).t == 0.45
+    scene.update('test', ['0'], turned, stamp=5)
+    scene.clear()
+    assert scene.stats()['meshes'] == 0

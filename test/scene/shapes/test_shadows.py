@@ -3,14 +3,12 @@
 """Meshes that are not convex in planar scenes: the union of the shadows of their triangles."""
 
 import math
-from fractions import Fraction
 
 import numpy as np
 import pytest
 from scene.inside import store_of
+from scene.meshes import SOLIDS, SURFACES, box, grid_triangles, segments
 from scene.reference import icosphere, scene_of
-from scene.shapes.test_any_mesh import SOLIDS, SURFACES, assert_same_at, box, segments
-from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
 from bvh_ros.scene import NO_NODE, Mesh, NodeScene, Scene, Shapes
@@ -82,7 +80,7 @@ def test_rays_are_exact(name, power):
         assert np.array_equal(np.isfinite(found.t), np.isfinite(wanted))
         hit = np.isfinite(wanted)
         assert 10 < hit.sum() < len(hit)
-        assert found.t[hit] == pytest.approx(wanted[hit], abs=1e-12)
+        assert found.t[hit] == pytest.approx(wanted[hit], rel=1e-14)
         along = goals - starts
         places = (starts + np.where(hit, wanted, 0.0)[:, None] * along) * unit
         assert found.points[hit, :2] == pytest.approx(places[hit, :2], abs=1e-11 * unit)
@@ -95,38 +93,6 @@ def test_rays_are_exact(name, power):
         assert (np.inf if one is None else one.t) == found.t[0]
 
 
-def clipped(triangle, start, goal):
-    """The part of a segment, from 0 to 1, in a triangle: (entry, leave), Fractions, or None."""
-    a, b, c = triangle
-    if cross(b - a, c - a) < 0:
-        b, c = c, b
-    entry, leave = Fraction(0), Fraction(1)
-    for p, q in ((a, b), (b, c), (c, a)):
-        here, there = int(cross(q - p, start - p)), int(cross(q - p, goal - p))
-        if here < 0 and there < 0:
-            return None
-        if here < 0 <= there:
-            entry = max(entry, Fraction(here, here - there))
-        elif there < 0 <= here:
-            leave = min(leave, Fraction(here, here - there))
-    return (entry, leave) if entry <= leave else None
-
-
-def test_rays_are_clipped_by_rational_numbers():
-    """Another way to say it: the parts of a segment in each shadow."""
-    rng = np.random.default_rng(4)
-    scene = scene_of(Shapes.of_meshes(Mesh(SOLIDS['ring']), [0, 0, 0]), planar=True)
-    flat = SOLIDS['ring'][:, :, :2]
-    flat = flat[cross(flat[:, 1] - flat[:, 0], flat[:, 2] - flat[:, 0]) != 0]
-    starts, goals = rng.integers(-20, 21, (2, 150, 2))
-    for start, goal in zip(starts, goals, strict=True):
-        parts = [part for part in (clipped(t, start, goal) for t in flat) if part]
-        hit = scene.raycast(start, goal)
-        assert (hit is None) == (not parts)
-        if parts:
-            assert hit.t == pytest.approx(float(min(parts)[0]), rel=1e-14)
-
-
 def test_nothing_slips_between_triangles_however_they_are_turned():
     """A plate of many triangles, tilted anyhow: every place on an edge of it is in its shadow."""
     rng, count = np.random.default_rng(6), 9
@@ -134,9 +100,7 @@ def test_nothing_slips_between_triangles_however_they_are_turned():
     grid[[0, -1]] = grid[:, [0, -1]] = 0.0
     grid += np.stack(np.meshgrid(*[np.arange(count + 1.0)] * 2, indexing='ij'), axis=2)
     grid = np.concatenate([grid, np.zeros((count + 1, count + 1, 1))], axis=2)
-    a, b, c, d = grid[:-1, :-1], grid[1:, :-1], grid[1:, 1:], grid[:-1, 1:]
-    plate = [np.stack(corners, axis=2).reshape(-1, 3, 3) for corners in ((a, b, c), (a, c, d))]
-    plate = np.concatenate(plate)
+    plate = grid_triangles(grid)
     mesh = Mesh(plate)
     inside = (plate > 0.5).all(axis=(1, 2)) & (plate[:, :, :2] < count - 0.5).all(axis=(1, 2))
     inner = plate[np.flatnonzero((plate[:, :, :2] % count > 0).all(axis=(1, 2)) | inside)]
@@ -152,196 +116,6 @@ def test_nothing_slips_between_triangles_however_they_are_turned():
         assert (scene.nearest_many(points)[1] <= 1e-13).all()
         rays = scene.raycast_many(points, rng.normal(size=points.shape))
         assert (rays.t == 0.0).all()
-
-
-# ---- Distances: brute force over all triangles.
-
-
-def distances(triangles, points):
-    """(n,) distances of points (n, 2) from the union of triangles (m, 3, 2)."""
-    best = np.full(len(points), np.inf)
-    for triangle in triangles:
-        sides = []
-        for a, b in zip(triangle, np.roll(triangle, -1, axis=0), strict=True):
-            edge, away = b - a, points - a
-            share = np.clip(away @ edge / max(edge @ edge, 1e-300), 0.0, 1.0)
-            best = np.minimum(best, np.linalg.norm(away - share[:, None] * edge, axis=1))
-            sides.append(cross(edge, away))
-        area = cross(triangle[1] - triangle[0], triangle[2] - triangle[0])
-        if abs(area) > 1e-9:
-            sides = np.array(sides) * np.sign(area)
-            best[(sides > 0.0).all(axis=0)] = 0.0
-    return best
-
-
-def gap_between(one, other):
-    """The distance of two unions of triangles (m, 3, 2), 0 where they overlap: that of a corner of
-    one from the other, unless edges cross.
-    """
-    a, c = one.reshape(-1, 1, 2), other.reshape(1, -1, 2)
-    b = np.roll(one, -1, axis=1).reshape(-1, 1, 2)
-    d = np.roll(other, -1, axis=1).reshape(1, -1, 2)
-    apart = cross(b - a, c - a) * cross(b - a, d - a) >= 0.0
-    apart |= cross(d - c, a - c) * cross(d - c, b - c) >= 0.0
-    if not apart.all():
-        return 0.0
-    return min(distances(one, c[0]).min(), distances(other, a[:, 0]).min())
-
-
-PLACED = {
-    'ring': (SOLIDS['ring'] / 8.0, (0, 0, 0.6, 0.8)),
-    'tilted ring': (SOLIDS['ring'] / 8.0, (0.3, -0.2, 0.5, 0.8)),
-    'corner': (CORNER / 4.0, (0, 0, -0.28, 0.96)),
-    'tilted comb': (SOLIDS['comb'] / 4.0, (-0.4, 0.1, 0.2, 0.9)),
-    'strip': (SURFACES['strip'] / 8.0, (0.1, 0.1, 0.5, 0.8)),
-    'walls': (WALLS / 4.0, (0, 0, 0.6, 0.8)),
-}
-
-
-@pytest.fixture(scope='module', params=PLACED)
-def placed(request):
-    """A mesh in a pose, the shadows of its triangles, a scene that holds it, and points."""
-    triangles, quaternion = PLACED[request.param]
-    turn = Rotation.from_quat(quaternion)
-    place = np.array((3.0, -2.0, 7.0))
-    world = turn.apply(triangles.reshape(-1, 3)).reshape(-1, 3, 3) + place
-    mesh = Mesh(triangles)
-    scene = scene_of(Shapes.of_meshes(mesh, place, [turn.as_quat()]), planar=True)
-    points = np.random.default_rng(5).uniform(-2.5, 2.5, (300, 3)) + place
-    flat = world[:, :, :2]
-    return mesh, scene, flat, points, distances(flat, points[:, :2])
-
-
-def test_nearest_points(placed):
-    _, scene, _, points, gaps = placed
-    _, found, places = scene.nearest_many(points)
-    assert found[:, 0] == pytest.approx(gaps, abs=1e-12)
-    away = np.linalg.norm(places[:, 0, :2] - points[:, :2], axis=1)
-    assert away == pytest.approx(gaps, abs=1e-12)
-    hit = scene.nearest(points[0])[0]
-    assert hit.t == found[0, 0]
-    assert hit.point[2] == points[0, 2]
-
-
-def test_balls(placed):
-    _, scene, _, points, gaps = placed
-    radius = np.random.default_rng(6).uniform(0.01, 0.5, len(points))
-    _, found, mine, theirs = scene.clearance_many(Shapes.spheres(points, radius))
-    assert found == pytest.approx(np.maximum(gaps - radius, 0.0), abs=1e-12)
-    away = np.linalg.norm((mine - theirs)[:, :2], axis=1)
-    assert away == pytest.approx(found, abs=1e-12)
-    touches = scene.overlap_shape_many(Shapes.spheres([0, 0, 0], 0.2), points, tolerance=0.1)
-    assert np.array_equal(touches, gaps <= 0.3)
-    assert [len(scene.overlap(p, p, tolerance=0.3)) for p in points[:20]] == touches[:20].tolist()
-
-
-def footprint_of(shapes, row):
-    """Triangles that make up what is seen of a box from above."""
-    signs = np.array(list(np.ndindex(2, 2, 2))) - 0.5
-    turn = Rotation.from_quat(shapes.orientation[row])
-    corners = turn.apply(signs * shapes.size[row]) + shapes.position[row]
-    rim = corners[ConvexHull(corners[:, :2]).vertices, :2]
-    return np.array([rim[[0, i, i + 1]] for i in range(1, len(rim) - 1)])
-
-
-def test_turned_boxes(placed):
-    _, scene, flat, points, _ = placed
-    rng = np.random.default_rng(7)
-    turns = Rotation.random(60, random_state=3).as_quat()
-    turns[:30, :2] = 0.0
-    turns /= np.linalg.norm(turns, axis=1)[:, None]
-    boxes = Shapes.boxes(points[:60], rng.uniform(0.05, 1.0, (60, 3)), turns)
-    wanted = [gap_between(footprint_of(boxes, i), flat) for i in range(60)]
-    _, found, mine, theirs = scene.clearance_many(boxes)
-    assert found == pytest.approx(wanted, abs=1e-10)
-    away = np.linalg.norm((mine - theirs)[:, :2], axis=1)
-    assert away == pytest.approx(found, abs=1e-11)
-    touches = np.concatenate(
-        [scene.overlap_shape_many(boxes.take([i]), boxes.position[[i]]) for i in range(60)]
-    )
-    assert np.array_equal(touches, found == 0.0)
-    assert 0 < touches.sum() < 60
-
-
-def test_meshes(placed):
-    """Convex ones and others, as queries and as obstacles of one scene."""
-    mesh, scene, flat, points, _ = placed
-    turns = Rotation.random(25, random_state=4)
-    for other in (mesh, Mesh(icosphere(1) * 0.4), Mesh(SOLIDS['hollow'] / 20.0)):
-        shapes = Shapes.of_meshes(other, points[:25], turns.as_quat())
-        _, found, mine, theirs = scene.clearance_many(shapes)
-        corners = other.vertices[other.corners] + other.centre
-        for row, turn in enumerate(turns):
-            seen = turn.apply(corners.reshape(-1, 3)).reshape(-1, 3, 3) + points[row]
-            wanted = gap_between(seen[:, :, :2], flat)
-            assert found[row] == pytest.approx(wanted, abs=1e-10)
-        away = np.linalg.norm((mine - theirs)[:, :2], axis=1)
-        assert away == pytest.approx(found, abs=1e-11)
-        touches = scene.overlap_shape_many(shapes.take([0]), points[:25], turns.as_quat())
-        assert np.array_equal(touches, found == 0.0)
-        for row in range(4):
-            world = Scene(planar=True)
-            world.update('test', ['placed'], scene_shapes(scene, mesh), stamp=1)
-            world.update('test', ['other'], shapes.take([row]), stamp=1)
-            assert len(world.overlap_pairs()) == (found[row] == 0.0)
-            assert world.clearance('other').distance == pytest.approx(found[row], abs=1e-12)
-            there = world.clearance('placed')
-            assert there.distance == pytest.approx(found[row], abs=1e-12)
-
-
-def scene_shapes(scene, mesh):
-    """The only obstacle of a scene, which has this mesh."""
-    known = scene.get('0')
-    return Shapes.of_meshes(mesh, known.position, [known.orientation])
-
-
-def test_swept_balls_touch_first_where_they_are_first_near(placed):
-    _, scene, flat, points, gaps = placed
-    starts, goals = points[:100], points[100:200]
-    radius, times = 0.2, np.linspace(0.0, 1.0, 201)
-    found = scene.sweep_many(starts, goals, radius)
-    for i, t in enumerate(found.t):
-        path = starts[i] + times[:, None] * (goals[i] - starts[i])
-        touching = times[distances(flat, path[:, :2]) <= radius - 1e-9]
-        assert not len(touching) or t <= touching[0]
-        if np.isfinite(t):
-            at = starts[i] + t * (goals[i] - starts[i])
-            (apart,) = distances(flat, at[None, :2])
-            assert apart <= radius + 1e-9
-            if t > 0.0:
-                way = (at - found.points[i])[:2]
-                assert np.linalg.norm(way) == pytest.approx(radius, abs=1e-9)
-                assert found.normals[i, :2] == pytest.approx(way / radius, abs=1e-6)
-    assert np.array_equal(found.t == 0.0, gaps[:100] <= radius)
-
-
-def test_shapes_that_turn(placed):
-    """Never free where a pose touches; what they touch is as near as the resolution."""
-    scene, points = placed[1], placed[3]
-    starts, goals = points[:30], points[30:60]
-    turns, goal_turns = (Rotation.random(30, random_state=k) for k in (1, 2))
-    for body in (
-        Shapes.boxes([0, 0, 0], (0.8, 0.3, 0.2)),
-        Shapes.of_meshes(Mesh(SOLIDS['comb'] / 20.0), [0, 0, 0]),
-        Shapes.of_meshes(Mesh(icosphere(1) * 0.3), [0, 0, 0]),
-    ):
-        found = scene.sweep_shape_many(
-            body, starts, turns.as_quat(), goals, goal_turns.as_quat(), resolution=1e-3
-        )
-        half, met = (turns.inv() * goal_turns).as_rotvec(), 0
-        for t in np.linspace(0.0, 1.0, 40):
-            between = (turns * Rotation.from_rotvec(t * half)).as_quat()
-            places = starts + t * (goals - starts)
-            touches = scene.overlap_shape_many(body, places, between)
-            met += touches.sum()
-            assert (found.t[touches] <= t + 1e-9).all()
-        assert met > 5
-        for row in np.flatnonzero(np.isfinite(found.t)):
-            t = found.t[row]
-            turn = (turns[row] * Rotation.from_rotvec(t * half[row])).as_quat()
-            place = starts[row] + t * (goals[row] - starts[row])
-            near = scene.overlap_shape_many(body, [place], [turn], tolerance=1e-3 + 1e-9)
-            assert near.all()
 
 
 # ---- What is meant.
@@ -434,50 +208,18 @@ def test_signed_distances_are_refused_where_something_touches():
             ask()
 
 
-def test_one_that_moves():
-    """At a time it stands elsewhere: rays, points and shapes see it there."""
-    scene = Scene(planar=True)
-    ring = Shapes.of_meshes(Mesh(SOLIDS['ring'] / 8.0), [0, 0, 0], [(0.2, 0, 0.3, 0.93)])
-    scene.update('test', ['ring'], ring, stamp=0, velocities=[[1, 0, 0]])
-    still = scene_of(ring._replace(position=np.array([(2.0, 0.0, 0.0)])), planar=True)
-    at = 2 * 10**9
-    points, goals = assert_same_at(scene, at, still)
-    body = Shapes.boxes([0, 0, 0], (0.4, 0.3, 0.2))
-    for start, goal in zip(points[:20], goals[:20], strict=True):
-        body = body._replace(position=start[None])
-        moved = scene.sweep_shape(body, goal, at=at, until=at)
-        stood = still.sweep_shape(body, goal)
-        assert (moved is None) == (stood is None)
-        assert moved is None or moved.t == pytest.approx(stood.t, abs=1e-4)
-    with pytest.raises(ValueError, match='no signed distance in a planar scene'):
-        scene.nearest_many(points, signed=True, at=at)
-
-
-def test_a_shadow_is_shared_and_kept_while_its_mesh_only_moves():
-    shape = Shapes.of_meshes([Mesh(CORNER)] * 2, [(0, 0, 0), (20, 0, 5)], [(0, 0, 0.6, 0.8)] * 2)
-    scene = scene_of(shape, planar=True)
-    assert scene.stats()['meshes'] == 1
+def test_sides_that_lie_along_edges_of_tops_have_no_shadow():
+    scene = scene_of(Shapes.of_meshes(Mesh(CORNER), [0, 0, 0], [(0, 0, 0.6, 0.8)]), planar=True)
     hulls = store_of(scene).columns.meshes.hulls
-    scene.update('test', ['0'], shape.take([0])._replace(position=np.ones((1, 3))), stamp=2)
-    assert store_of(scene).columns.meshes.hulls is hulls
-    # The sides of both boxes lie along edges of their tops.
     assert len(hulls.corners) == len(Mesh(CORNER).corners) - 16
-    scene.update('test', ['0'], shape.take([0])._replace(orientation=np.eye(4)[[3]]), stamp=3)
-    assert scene.stats()['meshes'] == 2
-    scene.clear()
-    scene.update('test', ['box'], Shapes.boxes([(1, 2, 3)], (1, 1, 1)), stamp=4)
-    assert scene.raycast((1, -9), (1, 9)).name == 'box'
 
 
-def test_a_picture_shows_the_triangles():
+def test_a_picture_shows_the_triangles(pyplot):
     """Not what is around them: the nook of a corner stays empty."""
-    pyplot = pytest.importorskip('matplotlib.pyplot', reason='matplotlib is not installed')
-    pyplot.switch_backend('agg')
     scene = scene_of(Shapes.of_meshes(Mesh(CORNER), [0, 0, 0]), planar=True)
     faces = [path.vertices for path in scene.plot(levels=0).collections[0].get_paths()]
     assert len(faces) == len(Mesh(CORNER).corners)
     assert all((face <= (9, 3)).all() or (face <= (3, 9)).all() for face in faces)
-    pyplot.close('all')
 
 
 def test_other_obstacles_stay_as_they_are():
@@ -512,8 +254,7 @@ def test_other_obstacles_stay_as_they_are():
 
 
 def test_paths_of_a_node_collide_where_no_depth_is_known():
-    scene = NodeScene(planar=True)
-    scene.update('test', ['corner'], Shapes.of_meshes(Mesh(CORNER), [0, 0, 0]), stamp=1)
+    scene = scene_of(Shapes.of_meshes(Mesh(CORNER), [0, 0, 0]), planar=True, of=NodeScene)
     boxes = Shapes.boxes([(8, 8, 0), (4, 1, 0)], (1, 1, 1))
     handles, found, mine, theirs = scene.collisions_many(boxes, 1, 1)
     assert found.tolist() == [4.5, 0.0]

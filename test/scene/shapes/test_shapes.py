@@ -86,7 +86,7 @@ def test_bounds_hold_the_exact_shape_and_what_counts_as_touching(ndim):
             mesh = Mesh(body.mesh.vertices[body.mesh.corners] * 10.0**decade)
             body = contacts.Solid(kind, mesh.size / 2, mesh.vertices, mesh)
         else:
-            body = body._replace(half=body.half * 10.0**decade)
+            body = contacts.Solid(kind, body.half * 10.0**decade)
         turn = rng.normal(size=4)
         turn[:2] *= rng.choice([1.0, 0.0, 1e-16, 1e-160])
         turn *= rng.uniform(0.991, 1.009) / np.linalg.norm(turn)

@@ -6,7 +6,8 @@ meshes, where float64 looks at every triangle.
 
 import numpy as np
 import pytest
-from scene.reference import icosphere, scene_of
+from scene.meshes import cut_cube, grid_triangles
+from scene.reference import icosphere, random_turns, scene_of
 from scipy.spatial.transform import Rotation
 
 from bvh_ros.scene import Mesh, Shapes
@@ -46,32 +47,21 @@ FAMILIES = {
 }
 
 
-def triangles_of(places):
-    """Two triangles a field of a grid."""
-    a, b, c, d = places[:-1, :-1], places[1:, :-1], places[1:, 1:], places[:-1, 1:]
-    return np.stack([a, b, c, a, c, d], axis=2).reshape(-1, 3, 3)
+def sheet(rng):
+    """Open, of fields that are longer than wide."""
+    x, y = np.meshgrid(np.linspace(-1, 1, 9), np.linspace(-1, 1, 41), indexing='ij')
+    return grid_triangles(np.stack([x, y, 0.2 * np.sin(3 * x) * np.cos(4 * y)], axis=2))
 
 
-def ring(rng):
-    """With waves."""
+def waves(rng):
+    """A ring with waves."""
     u, v = np.meshgrid(np.arange(33) % 32 / 32, np.arange(21) % 20 / 20, indexing='ij')
     u, v = 2 * np.pi * u, 2 * np.pi * v
     thick = 0.4 + 0.06 * np.sin(7 * u) * np.cos(3 * v)
     wide = 1.0 + thick * np.cos(v)
-    return triangles_of(np.stack([wide * np.cos(u), wide * np.sin(u), thick * np.sin(v)], axis=2))
-
-
-def sheet(rng):
-    """Open, of fields that are longer than wide."""
-    x, y = np.meshgrid(np.linspace(-1, 1, 9), np.linspace(-1, 1, 41), indexing='ij')
-    return triangles_of(np.stack([x, y, 0.2 * np.sin(3 * x) * np.cos(4 * y)], axis=2))
-
-
-def box(rng):
-    """Many triangles in one plane, and at one distance."""
-    x, y = np.meshgrid(np.linspace(-1, 1, 9), np.linspace(-1, 1, 9), indexing='ij')
-    side = triangles_of(np.stack([x, y, np.ones_like(x)], axis=2))
-    return np.concatenate([sign * np.roll(side, k, axis=2) for k in range(3) for sign in (1, -1)])
+    return grid_triangles(
+        np.stack([wide * np.cos(u), wide * np.sin(u), thick * np.sin(v)], axis=2)
+    )
 
 
 def soup(rng):
@@ -79,7 +69,13 @@ def soup(rng):
     return rng.normal(size=(1000, 1, 3)) + rng.random((1000, 1, 1)) * rng.normal(size=(1000, 3, 3))
 
 
-LARGE = {'ring': ring, 'sheet': sheet, 'box': box, 'soup': soup, 'sphere': FAMILIES['sphere']}
+LARGE = {
+    'ring': waves,
+    'sheet': sheet,
+    'box': lambda rng: 2.0 * cut_cube(8),  # many triangles in one plane, and at one distance
+    'soup': soup,
+    'sphere': FAMILIES['sphere'],
+}
 
 
 def points_around(triangles, rng):
@@ -112,8 +108,7 @@ def test_no_nearer_triangle_is_left_out(name, decade):
     triangles = triangles * 10.0**decade
     whole, apart = scenes_of(triangles)
     size = rng.random((len(points), 3)) * 10.0**decade * 0.3
-    turn = rng.normal(size=(len(points), 4))
-    turn /= np.linalg.norm(turn, axis=1, keepdims=True)
+    turn = random_turns(rng, len(points))
     turn[::2] = EYE
     rows = np.arange(0, len(points), 4)
     bodies = [

@@ -6,6 +6,7 @@ import sys
 
 import numpy as np
 import pytest
+from scene.reference import changed
 
 from bvh_ros.scene import Families, Numbered, Part, Scene, Shapes
 
@@ -95,7 +96,7 @@ def test_a_number_and_a_string_are_one_name():
 def test_the_last_row_of_a_name_holds():
     scene = Scene()
     places = np.array([[1.0, 0, 0], [2, 0, 0], [3, 0, 0], [np.nan, 0, 0]])
-    shapes = Shapes.boxes(np.zeros((4, 3)), [1, 1, 1])._replace(position=places)
+    shapes = changed(Shapes.boxes(np.zeros((4, 3)), [1, 1, 1]), position=places)
     refusals = scene.update('a', ['x', 'y', 'x', 'x'], shapes, stamp=1)
     assert [refusal.row for refusal in refusals] == [3]
     assert scene.get('x').position.tolist() == [3, 0, 0]

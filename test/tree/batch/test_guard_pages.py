@@ -6,13 +6,14 @@ nobody may touch. In a process of its own, which a touch ends.
 
 import ctypes
 import mmap
-import subprocess
+import signal
 import sys
 from unittest.mock import patch
 
 import numpy as np
 import numpy.ma  # before its `empty` is another one
 import pytest
+from tree.compiler.alone import run_alone
 
 from bvh_ros import DynamicBVH
 from bvh_ros.tree.access import make_scratch, take_snapshot
@@ -90,24 +91,12 @@ def run() -> None:
 
 @pytest.mark.skipif(not sys.platform.startswith('linux'), reason='mprotect as on Linux')
 def test_nothing_behind_the_end_is_touched() -> None:
-    ended = subprocess.run([sys.executable, __file__], capture_output=True, text=True, check=False)
-    assert ended.returncode == 0, ended.stderr[-2000:]
+    run_alone('from tree.batch.test_guard_pages import run; run()')
 
 
 def test_the_guard_guards() -> None:
     """Who touches that page is ended."""
-    touch = 'import test_guard_pages as t, ctypes; a = t.guarded(3); '
+    touch = 'from tree.batch import test_guard_pages as t; import ctypes; a = t.guarded(3); '
     touch += 'print(a.sum() == 0, flush=True); ctypes.string_at(a.ctypes.data + a.nbytes, 1)'
-    ended = subprocess.run(
-        [sys.executable, '-c', touch],
-        capture_output=True,
-        text=True,
-        cwd=__file__.rsplit('/', 1)[0],
-        check=False,
-    )
+    ended = run_alone(touch, ends=-signal.SIGSEGV)
     assert ended.stdout == 'True\n', ended.stderr
-    assert ended.returncode < 0
-
-
-if __name__ == '__main__':
-    run()

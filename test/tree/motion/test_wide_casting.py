@@ -6,10 +6,10 @@ import math
 
 import numpy as np
 import pytest
-from tree.motion.exact import World, meetings_until
-from tree.motion.test_moving_boxes import normal_of, tree_of
+from tree.motion.checking import check_rows, one_by_one, tree_of
+from tree.motion.exact import Course, World, meetings_until
 from tree.motion.worlds import Random, stopping
-from tree.reference import effort, is_within_2_ulp, seen
+from tree.reference import effort, seen
 
 from bvh_ros import DynamicBVH
 from bvh_ros.tree.access import OpenTree
@@ -42,7 +42,7 @@ def test_rows_are_those_of_exact_arithmetic(stops: bool):
         limits = rng.choice([1.0, 0.0, 0.5, 2.0], RAYS)
         paces = course.pace * rng.choice([1.0, 0.0, 0.5], RAYS)
         every = [
-            meetings_until(world, course._replace(low=o, high=o, direction=w, pace=float(p)), left)
+            meetings_until(world, Course(o, o, w, course.at, float(p)), left)
             for o, w, p in zip(origins, ways, paces, strict=True)
         ]
         for row, hits in enumerate(every):  # contact exactly at the end
@@ -53,14 +53,16 @@ def test_rows_are_those_of_exact_arithmetic(stops: bool):
             asked = origins, ways, limits, masks, skip
             hits = tree.raycast_many(*asked, threads=1 + number % 2, at=course.at, pace=paces)
             met = tree.occluded_many(*asked, at=course.at, pace=paces)
-            for row, exact in enumerate(every):
-                visible = box_masks & masks[row] != 0
-                right = seen(exact, ids, float(limits[row]), skip, visible)
-                assert met[row] == bool(right)
-                assert hits.ids[row] == (ids[right[0].row] if right else -1)
-                if right:
-                    assert is_within_2_ulp(float(hits.t[row]), right[0].t)
-                    assert hits.normals[row].tolist() == normal_of(right[0].axis, ndim)
+            visible = box_masks & masks[:, None] != 0
+            check_rows(
+                tree,
+                hits,
+                met,
+                [
+                    seen(exact, ids, float(limits[row]), skip, visible[row])
+                    for row, exact in enumerate(every)
+                ],
+            )
         swept += is_swept(tree)
     assert swept >= 20
 
@@ -69,11 +71,6 @@ def crowd(rng: Random, count: int, speed: float) -> World:
     lo = rng.uniform(0, 40, (count, 2))
     velocities = speed * rng.normal(size=lo.shape)
     return World(lo, lo + rng.uniform(0, 1, lo.shape), velocities, rng.uniform(-1, 1, count))
-
-
-def one_by_one(tree: DynamicBVH, origins, ways, times) -> list[tuple]:
-    hits = [tree.raycast(*ray, 1.0, **times) for ray in zip(origins, ways, strict=True)]
-    return [(-1, math.inf) if hit is None else (hit.id, hit.t) for hit in hits]
 
 
 def test_bounds_follow_the_tree_and_the_times():

@@ -48,7 +48,7 @@ def whole_numbers(rng: Random, ndim: int) -> tuple[World, Course]:
 def grazing(rng: Random, ndim: int) -> tuple[World, Course]:
     """Rays through where corners of moving boxes will be, but for the rounding of it."""
     world, _ = plain(rng, ndim)
-    world = world._replace(velocities=decades(rng, world.lo.shape, -2, 2))
+    world = World(*world[:2], decades(rng, world.lo.shape, -2, 2), world.references)
     way, at, pace = rng.normal(size=ndim), float(rng.uniform(-1, 1)), float(rng.uniform(-1, 1))
     row, t = rng.integers(len(world.lo)), rng.uniform(0, 2)
     corner = np.where(rng.random(ndim) < 0.5, world.lo[row], world.hi[row])
@@ -68,7 +68,8 @@ def together(rng: Random, ndim: int) -> tuple[World, Course]:
     same = course.direction / course.pace
     nudged = same * (1 + rng.integers(-2, 3, world.lo.shape) * 2.0**-52)
     chosen = rng.random(world.lo.shape) < 0.6
-    return world._replace(velocities=np.where(chosen, nudged, world.velocities)), course
+    velocities = np.where(chosen, nudged, world.velocities)
+    return World(*world[:2], velocities, world.references), course
 
 
 def all_decades(rng: Random, ndim: int) -> tuple[World, Course]:
@@ -129,7 +130,7 @@ def worlds(seed: int, count: int) -> Iterator[tuple[World, Course, Random]]:
 def stopping(seed: int, count: int) -> Iterator[tuple[World, Course, float, Random]]:
     """`worlds`, and how long boxes go on: often until one is met, but for the rounding of it."""
     for world, course, rng in worlds(seed, count):
-        course = course._replace(pace=abs(course.pace))
+        course = Course(*course[:4], abs(course.pace))
         with np.errstate(all='ignore'):
             ts = [float(hit.t) for hit in meetings(world, course) if hit.t <= LARGEST]
             then = course.at + course.pace * float(rng.choice([0.0, 0.5, 1.0, *ts]))

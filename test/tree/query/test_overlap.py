@@ -40,11 +40,8 @@ def test_as_brute_force(ndim: int, scale: float, margin: float) -> None:
 @pytest.mark.parametrize('ndim', [2, 3])
 def test_shapes_and_types_where_there_is_nothing(ndim: int) -> None:
     empty, none, one = DynamicBVH(ndim), np.empty((0, ndim)), np.ones((1, ndim))
-    assert (empty.overlap(one[0], one[0]).shape, empty.overlap(one[0], one[0]).dtype) == (
-        (0,),
-        np.int64,
-    )
-    assert (empty.overlap_pairs().shape, empty.overlap_pairs().dtype) == ((0, 2), np.int64)
+    for found, shape in ((empty.overlap(*one, *one), (0,)), (empty.overlap_pairs(), (0, 2))):
+        assert (found.shape, found.dtype) == (shape, np.int64)
     assert [a.tolist() for a in empty.overlap_many(one, one)] == [[0, 0], []]
     tree = DynamicBVH.from_boxes(one, one)
     assert [a.tolist() for a in tree.overlap_many(none, none, threads=2)] == [[0], []]

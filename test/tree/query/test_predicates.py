@@ -135,19 +135,3 @@ def test_exits(ndim):
         tree.exits(origins[:1], directions[:1], [10**9])
     with pytest.raises(ValueError, match='ids'):
         tree.exits(origins[:2], directions[:2], [-1])
-
-
-@pytest.mark.parametrize(
-    ('query', 'arguments', 'said'),
-    [
-        ('contains', ([1, 1, 1], [0, 0, 0]), 'lo'),
-        ('contains', ([0, 0], [1, 1, 1]), 'lo'),
-        ('query_ball', ([[0, 0, math.nan]], 1.0), 'points.* row 0'),
-        ('query_ball', ([[0, 0, 0]], [-1.0]), r'\br\b.* row 0'),
-        ('query_ball', ([[0, 0, 0]], math.inf), r'\br\b'),
-        ('exits', ([[0, 0, 0]], [[0, math.inf, 0]], [-1]), 'directions.* row 0'),
-    ],
-)
-def test_bad_input_is_refused(query, arguments, said):
-    with pytest.raises(ValueError, match=said):
-        getattr(DynamicBVH(), query)(*arguments)

@@ -6,8 +6,6 @@ import ast
 import copy
 import json
 import pickle
-import subprocess
-import sys
 import zlib
 from collections.abc import Callable
 from pathlib import Path
@@ -15,7 +13,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from odd_files import WITH_TESTS
+from tree.compiler.alone import run_alone
 from tree.reference import LONG, snapshot
 
 from bvh_ros import DynamicBVH
@@ -109,8 +107,7 @@ def test_processes_share_a_file_and_keep_the_one_they_opened(tmp_path):
     wanted = tree.overlap([0, 0, 0], [9, 9, 9]).tolist()
     tree.save(tmp_path / 'tree', mapped=True)
     shared = DynamicBVH.load(tmp_path / 'tree', mmap=True)
-    other = [sys.executable, '-c', ASK, str(tmp_path / 'tree')]
-    said = subprocess.run(other, check=True, capture_output=True, text=True, timeout=3000).stdout
+    said = run_alone(ASK, str(tmp_path / 'tree')).stdout
     assert json.loads(said) == wanted
     DynamicBVH().save(tmp_path / 'tree', mapped=True)  # puts a new file in its place
     assert shared.overlap([0, 0, 0], [9, 9, 9]).tolist() == wanted
@@ -201,27 +198,28 @@ from bvh_ros import DynamicBVH
 from tree.store.test_mapped import answers
 
 rng, counts = np.random.default_rng(int(sys.argv[2])), collections.Counter()
-path = Path(sys.argv[1])
-wanted = answers(DynamicBVH.load(path, mmap=True))
+path, mmap = Path(sys.argv[1]), sys.argv[4] == 'mapped'
+wanted = answers(DynamicBVH.load(path, mmap=mmap))
 for content in damaged(rng, path.read_bytes(), int(sys.argv[3])):
     bad = path.with_name('bad')
     bad.unlink(missing_ok=True)
     bad.write_bytes(content)
     for verify in (False, True):
-        ask = lambda: answers(DynamicBVH.load(bad, mmap=True, verify=verify))
+        ask = lambda: answers(DynamicBVH.load(bad, mmap=mmap, verify=verify))
         counts[f'{verify} {outcome(ask, wanted)}'] += 1
 print(dict(counts))
 """
 
 
-@pytest.mark.parametrize(('ndim', 'margin'), [(2, 0.0), (3, 0.2)])
-def test_no_damaged_file_ends_the_process(tmp_path, ndim, margin):
-    """Refused, or some answer; refused, or the right answer, where all is verified."""
-    lived_in(ndim, margin, 40).save(tmp_path / 'tree', mapped=True)
-    how = [sys.executable, '-c', DAMAGE, str(tmp_path / 'tree'), str(ndim), str(DAMAGES)]
-    run = subprocess.run(how, capture_output=True, text=True, timeout=3000, env=WITH_TESTS)
-    assert run.returncode == 0, run.stderr
-    counts = ast.literal_eval(run.stdout)
-    assert {*counts} - {'False other'} == {
+@pytest.mark.parametrize(
+    ('ndim', 'margin', 'kind'), [(2, 0.0, 'mapped'), (3, 0.2, 'mapped'), (2, 0.0, 'npz')]
+)
+def test_no_damaged_file_ends_the_process(tmp_path, ndim, margin, kind):
+    """Refused, or some answer; refused, or the right answer, where all is verified, or read."""
+    lived_in(ndim, margin, 40).save(tmp_path / 'tree', mapped=kind == 'mapped')
+    ended = run_alone(DAMAGE, str(tmp_path / 'tree'), str(ndim), str(DAMAGES), kind)
+    counts = ast.literal_eval(ended.stdout)
+    unverified = {'False other'} if kind == 'mapped' else set()
+    assert {*counts} - unverified == {
         f'{verify} {how}' for verify in (True, False) for how in ('refused', 'same')
     }, counts

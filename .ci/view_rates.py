@@ -2,9 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """How fast the view is, and what it costs the node. Run, in the folder of a clone:
 
-PYTHONPATH=test python -m view.rates page 10000            moving boxes, page alone, in a browser
-PYTHONPATH=test python -m view.rates page 100000 --static  while the camera goes around
-PYTHONPATH=test python -m view.rates node 10000            the node, with and without who looks
+PYTHONPATH=test python .ci/view_rates.py page 10000          moving boxes, page alone, in a browser
+PYTHONPATH=test python .ci/view_rates.py page 100000 --static while the camera goes around
+PYTHONPATH=test python .ci/view_rates.py node 10000           the node, with and without who looks
 """
 
 from __future__ import annotations
@@ -174,7 +174,7 @@ def listen(namespace: str) -> None:
 
 @contextlib.contextmanager
 def beside(*command: str) -> Iterator[subprocess.Popen[bytes]]:
-    process = subprocess.Popen([sys.executable, '-m', *command], stdout=subprocess.DEVNULL)
+    process = subprocess.Popen([sys.executable, *command], stdout=subprocess.DEVNULL)
     try:
         yield process
     finally:
@@ -194,14 +194,12 @@ def node_costs(count: int) -> None:
     node = rclpy.create_node('rates', namespace=space)
     watchers: dict[str, Callable[[], Any]] = {
         'nobody looks': contextlib.nullcontext,
-        'bvh_view': lambda: beside('bvh_ros.view.main', f'{space}/bvh'),
-        'a subscriber of obstacles, scene and queries': lambda: beside(
-            'view.rates', 'listen', space
-        ),
+        'bvh_view': lambda: beside('-m', 'bvh_ros.view.main', f'{space}/bvh'),
+        'a subscriber of obstacles, scene and queries': lambda: beside(__file__, 'listen', space),
     }
     with running_node(space, {}) as process:
         wait_until_ready(BvhClient(node), process)
-        with beside('view.rates', 'publish', space, str(count)):
+        with beside(__file__, 'publish', space, str(count)):
             for name, watch in 2 * [*watchers.items()]:
                 with watch() as other:
                     time.sleep(2.0 * SETTLED)
