@@ -464,11 +464,12 @@ class Mesh:
         box holds that, or the mesh is not convex: then nothing is rounded."""
         self.size: Floats = hi - lo
         """(3,) edges of that box."""
-        order = arranged(surface.vertices)
-        row = np.empty(len(order), np.int32)
-        row[order] = np.arange(len(order))
+        count = len(surface.vertices)
+        order = arranged(surface.vertices) if self.convex else np.arange(count)
+        row = np.empty(count, np.int32)
+        row[order] = np.arange(count)
         self.vertices: Floats = surface.vertices[order] - self.centre
-        """(k, 3) seen from the centre, neighbours next to each other."""
+        """(k, 3) seen from the centre; of a convex mesh neighbours are next to each other."""
         if not self.convex:
             tiny = np.abs(self.vertices) < NEGLIGIBLE * float(self.size.max())
             self.vertices[tiny] = 0.0
