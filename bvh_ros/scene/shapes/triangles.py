@@ -349,8 +349,8 @@ def _closed_rows(given: Given, linked: Linked) -> tuple[Integers, Linked] | None
 
 def _second(given: Given, linked: Linked, once: Integers) -> Integers:
     """The second rows of triangles that count twice: of those given an even number of times, but
-    for how often all are given. In a closed part of repeated triangles they may as well be the
-    others; then those with less area.
+    for how often all are given. A closed part of these counts once. In a closed part of repeated
+    triangles they may as well be the others; then those with less area.
     """
     order, begins = _runs(linked.first)
     copies = np.diff(begins, append=len(order))
@@ -358,14 +358,23 @@ def _second(given: Given, linked: Linked, once: Integers) -> Integers:
     repeated = np.flatnonzero(copies > 1)
     if not len(repeated):
         return repeated
-    even, form = copies[repeated] % 2 == 0, linked.part(once[repeated])
-    _, part = parts_of(form.edges.number.reshape(-1, 3))
-    part = part[form.edges.number[::3]]
-    is_open = np.bincount(part[form.open_edges // 3], minlength=len(repeated)) > 0
-    one, two, three = places_of(given.points / given.extent, form.corners)
+    one, two, three = places_of(given.points / given.extent, linked.corners[once[repeated]])
     area = np.sqrt(_squares(_crossed(two - one, three - one)))
-    more = np.bincount(part, np.where(even, area, -area), len(repeated)) > 0.0
-    return order[begins[repeated] + 1][even ^ (more & ~is_open)[part]]
+    twice = copies[repeated] % 2 == 0
+    for rows in (np.flatnonzero(twice), np.arange(len(repeated))):
+        if len(rows):
+            part, is_closed = _closed_parts(linked.part(once[repeated[rows]]))
+            saved = np.bincount(part, np.where(twice[rows], area[rows], -area[rows]))
+            twice[rows] ^= (is_closed & (saved > 0.0))[part]
+    return order[begins[repeated] + 1][twice]
+
+
+def _closed_parts(linked: Linked) -> tuple[NDArray[Any], NDArray[np.bool_]]:
+    """In which part (m,) each triangle is, by common edges; whether each part is closed."""
+    number = linked.edges.number
+    count, part = parts_of(number.reshape(-1, 3))
+    part = part[number[::3]]
+    return part, np.bincount(part[linked.open_edges // 3], minlength=count) == 0
 
 
 def _stitched(given: Given) -> Linked:

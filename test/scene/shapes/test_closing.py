@@ -146,6 +146,10 @@ REPEATED = {  # the parts of a mesh, in some order, and how many triangles count
     'one three times, its neighbour twice': ([CUBE, NEXT] * 2 + [CUBE], 24),
     'all on both sides': ([CUBE, NEXT] * 2, 24),
     'all three times': ([CUBE, NEXT] * 3, 24),
+    'two that share an edge, twice and three times': (
+        [CUBE, NEXT, FAR, FAR] + [at((9, 1, 1), CUBE)] * 3,
+        48,
+    ),
     'a fin on both sides': ([CUBE, FIN, FIN, FAR, FAR], 26),
     'a fin on both sides, and all again': ([CUBE, FIN, FIN, FAR] * 2, 26),
 }
