@@ -411,3 +411,24 @@ def test_an_obstacle_far_from_where_it_was_told():
     box = Shapes.boxes([[-3.0, 0.0, z]], [0.5, 0.5, 0.5])
     given = {'tolerance': 0.7500000000018653, 'resolution': 1e-12, 'at': 64238603513}
     assert scene.sweep_shape(box, [2.0, 0.0, z], **given) is not None
+
+
+@pytest.mark.timeout(300)  # in parts as short as the body it would not end
+@pytest.mark.parametrize('velocity', [None, (0.0, 0.0, 1e-9)])
+def test_a_body_like_a_point_goes_among_boxes_that_are_near_all_the_time(velocity):
+    """The boxes around leaning sticks hold all of the way, which none of the sticks touches."""
+    height = np.linspace(0.05, 0.8, 20)
+    places = np.stack((0.0 * height, height, height + 0.3), axis=1)
+    leaning, _ = Rotation.align_vectors([[1.0, 1.0, 1.0]], [[1.0, 0.0, 0.0]])
+    turns, sizes = np.tile(leaning.as_quat(), (20, 1)), np.tile((4.0, 0.01, 0.01), (20, 1))
+    scene = scene_of(Shapes.boxes(places, sizes, turns))
+    wall = Shapes.boxes([0.9, 0.0, 0.0], 0.2)
+    scene.update('wall', ['wall'], wall, stamp=0)
+    if velocity is not None:
+        sticks = Shapes.boxes(places, sizes, turns)
+        names = [f'stick{k}' for k in range(20)]
+        scene.update('moving', names, sticks, stamp=0, velocities=np.tile(velocity, (20, 1)))
+    point = Shapes.spheres([-1.0, 0.0, 0.0], 1e-15)
+    hit = scene.sweep_shape(point, (1.0, 0.0, 0.0), at=None if velocity is None else 0.0)
+    assert hit.name == 'wall'
+    assert hit.t == pytest.approx(0.9, abs=1e-4)
