@@ -4,7 +4,7 @@
 
 PYTHONPATH=test python .ci/view_rates.py page 10000          moving boxes, page alone, in a browser
 PYTHONPATH=test python .ci/view_rates.py page 100000 --static while the camera goes around
-PYTHONPATH=test python .ci/view_rates.py node 10000           the node, with and without who looks
+PYTHONPATH=test python .ci/view_rates.py node 10000           the node, with and without a viewer
 """
 
 from __future__ import annotations

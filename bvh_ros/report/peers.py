@@ -315,7 +315,7 @@ def calls(page: Page, brief: bool) -> None:
     }
     ours = {f'{room}: {name}': job for room, some in rooms.items() for name, job in some.items()}
     ours |= _changes(boxes, count, scene, names)
-    rows = beside(ours, _peer_jobs(boxes, queries), repeats)
+    rows = rows_with_peers(ours, _peer_jobs(boxes, queries), repeats)
     page.table(
         'peers_calls', ['call', 'us a call', 'peer', 'us a call there', 'ours / peer'], rows
     )
@@ -324,7 +324,7 @@ def calls(page: Page, brief: bool) -> None:
 Peers = dict[str, tuple[str, Job]]  # name of the peer and job, by the name of our call
 
 
-def beside(ours: dict[str, Job], peers: Peers, repeats: int) -> list[list[Cell]]:
+def rows_with_peers(ours: dict[str, Job], peers: Peers, repeats: int) -> list[list[Cell]]:
     """For each of our jobs a row: name, us, the peer's name, us there, and ours over that."""
     theirs = {f'{name} of a peer': job for name, (_, job) in peers.items()}
     found = interleaved(ours | theirs, repeats)
@@ -418,7 +418,7 @@ def meshes(page: Page, brief: bool) -> None:
     rows: list[list[Cell]] = []
     for grid in ((8, 6),) if brief else GRIDS:
         vertices, faces = scenes.wavy_ring(*grid)
-        found = beside(*_mesh_jobs(vertices, faces, count, queries), repeats)
+        found = rows_with_peers(*_mesh_jobs(vertices, faces, count, queries), repeats)
         rows += [[len(faces), *row] for row in found]
     columns = ['triangles', 'work', 'us', 'beside', 'us there', 'ours / this']
     page.table('peers_meshes', columns, rows)

@@ -687,7 +687,7 @@ def first_contact(hulls, bodies, body, box, motion, obstacle, drift, options, sp
 # ---- Rows of a batch.
 
 MANY = 12  # obstacles near a motion: it is looked at in parts, the first part first
-SHORTEST = 2.0**-10  # part of a motion: a body may be as small as a point, and never be near fewer
+SHORTEST_PART = 2.0**-10  # of a motion: a body like a point may be near as many in each
 
 
 class Rows(NamedTuple):
@@ -745,7 +745,7 @@ def answer_sweeps(
                 body, rows.box, motion, span, limits[0] + limits[1], lo, hi, translation
             )
             wanted = candidates(world, row, (lo, hi, translation), span, mask, slots)
-            if wanted > MANY and end - begin > SHORTEST and goes_far(motion, span):
+            if wanted > MANY and end - begin > SHORTEST_PART and goes_far(motion, span):
                 end = 0.5 * (begin + end)  # a part is near fewer of them
                 continue
             if wanted < 0 or wanted > slots.shape[0]:

@@ -342,15 +342,17 @@ def _closed_rows(given: Given, linked: Linked) -> tuple[Integers, Linked] | None
     """
     once, form = _each_once(linked)
     if len(form.open_edges) and len(once) < len(linked.first):
-        rows = np.sort(np.r_[once, _second(given, linked, once)])
+        rows = np.sort(np.r_[once, _second_copies(given, linked, once)])
         once, form = rows, linked.part(rows)
     return None if len(form.open_edges) else (once, form)
 
 
-def _second(given: Given, linked: Linked, once: Integers) -> Integers:
-    """The second rows of triangles that count twice: of those given an even number of times, but
-    for how often all are given. A closed part of these counts once. In a closed part of repeated
-    triangles they may as well be the others; then those with less area.
+def _second_copies(given: Given, linked: Linked, once: Integers) -> Integers:
+    """The second rows of triangles that count twice: of those given an even number of times, once
+    all numbers are divided by what they have in common. A closed part of these counts once.
+
+    In a closed part of repeated triangles the others may count twice as well: then those with less
+    area do.
     """
     order, begins = _runs(linked.first)
     copies = np.diff(begins, append=len(order))

@@ -133,20 +133,20 @@ def bound_patch(triangles, lane, place, extent, slack):
     step = minus(center, place)
     height = dot(step, axis)
     across = plus(step, -height, axis)
-    above, beside = abs(height), np.sqrt(dot(across, across))
-    low, near = max(above - half, ZERO), max(beside - radius, ZERO)
-    high, far = above + half, beside + radius
+    above, radial = abs(height), np.sqrt(dot(across, across))
+    low, near = max(above - half, ZERO), max(radial - radius, ZERO)
+    high, far = above + half, radial + radius
     if extent is None:
         return low * low + near * near, high * high + far * far
-    share = near / max(beside, TINY)
+    share = near / max(radial, TINY)
     towards = share * across[0], share * across[1], share * across[2]
     towards = plus(towards, math.copysign(low, height), axis)
     inverse = ONE / np.sqrt(max(low * low + near * near, TINY))
     normal = towards[0] * inverse, towards[1] * inverse, towards[2] * inverse
     slope = dot(normal, axis)
     flat = plus(normal, -slope, axis)
-    kept = half * abs(slope) + radius * np.sqrt(dot(flat, flat)) + reach_of(extent, normal)
-    low = max(dot(step, normal) - kept, ZERO)
+    reach = half * abs(slope) + radius * np.sqrt(dot(flat, flat)) + reach_of(extent, normal)
+    low = max(dot(step, normal) - reach, ZERO)
     high = max(np.sqrt(high * high + far * far) - extent.inner, ZERO)
     return low * low, high * high
 
@@ -157,7 +157,8 @@ def bound_children(wide, around, extent, node, lanes, nearest):
     becomes the bits of squared distances that the others do not fall short of, and the limit no
     more than one that the nearest triangle surely does not exceed.
 
-    It is inlined: to hand over all these arrays takes a third of the time.
+    `extent` is that of `around`: where it is None, the compiler leaves out what shapes need. It is
+    inlined: to hand over all these arrays takes a third of the time.
     """
     squares, box, leaves = nearest.view(np.float32), around.box, leaves_of(wide, node)
     triangles = wide.triangles[node * (9 * WIDTH) : (node + 1) * (9 * WIDTH)]
