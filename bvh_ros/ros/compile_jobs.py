@@ -194,7 +194,7 @@ def _rays(needs: Needs) -> None:
 
 def _batches_of_rays(needs: Needs) -> None:
     store, row = _no_shapes(needs), np.zeros((1, 3))
-    rays = Rays(row, row, np.ones(1), np.ones(1, np.uint32), None, False, False)
+    rays = Rays(row, row, np.ones(1), np.ones(1, np.uint32), None, False, False, False)
     first_hits(store.tree, store.columns, rays)
     with_shapes(needs).raycast_many([START], [GOAL])
 

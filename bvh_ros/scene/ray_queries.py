@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from ..tree import checks
 from ..tree.access import ALL, EVERYTHING
-from .cast import batch, boxes, exact_ball, query
+from .cast import batch, boxes, query
 from .cast.arguments import UNIT_T_MAX, Rays, Sweep, refuse_infinite
 from .results import CastHits, SceneHit
 from .store import Obstacles
@@ -102,18 +102,18 @@ class RayQueries:
         """
         if self._store.change.unfinished:
             self._store.change.require_none()
-        origin, direction, radius = boxes.segment(start, goal, radius, self._store.planar)
+        ends, direction, radius = boxes.segment(start, goal, radius, self._store.planar)
         most = checks.whole_or_none('most', most, 0)
         store, bits, skip = self._store, checks.mask(mask), checks.flag('skip_inside', skip_inside)
-        sweep = Sweep(origin, direction, radius, bits, skip, True)
+        sweep = Sweep(ends[0], direction, radius, bits, skip, True)
         if self._timed.time_matters(at, until, 1):
             found = self._timed.every_ray(sweep, at, until, most)
         elif radius > 0.0:
-            found = exact_ball.cast_ball(store.tree, store.columns, sweep, most)
+            found = batch.all_of_ball(store.tree, store.columns, ends[1], sweep, most)
         elif store.columns.shaped:
             found = query.cast_every(store.tree, store.columns, sweep, most)
         else:
-            found = boxes.every(store.tree, origin, direction, bits, skip, most)
+            found = boxes.every(store.tree, ends[0], direction, bits, skip, most)
         return store.each_once([store.hit(*hit) for hit in found])
 
     def raycast_many(
@@ -222,7 +222,7 @@ class RayQueries:
             if not (radii.item() if len(radii) == 1 else radii.any()):
                 radii = None
         # As Rays(...), which would take one more call of a function of Python's.
-        parts = origins, directions, limits, masks, radii, to_goals, skip
+        parts = origins, directions, limits, masks, radii, to_goals, skip, False
         rays: Rays = tuple.__new__(Rays, parts)
         if (at is not None or until is not None) and self._timed.time_matters(at, until, count):
             return self._timed.first_rays(rays, at, until, threads)

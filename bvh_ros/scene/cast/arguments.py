@@ -51,6 +51,8 @@ class Rays(NamedTuple):
     """None for thin rays: then no kernel compiles anything of balls."""
     to_goals: Any
     skip_inside: Any
+    every: Any
+    """Whether all obstacles that a ball meets are wanted, not only the first."""
 
 
 class Hits(NamedTuple):

@@ -3,10 +3,12 @@
 """The first hits of n rays, or balls, among true shapes: one kernel for all rows, or one.
 
 Rows go through the wide snapshot of batches where there is one, else through the tree. The kernel
-leaves a ball to `exact_ball.cast_ball` where only exact arithmetic decides its first obstacle.
+leaves a ball to `exact_ball.in_exact_order` where only exact arithmetic decides which obstacle is
+first, or where several are wanted.
 """
 
 import threading
+from collections.abc import Iterable
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -31,7 +33,7 @@ from ...tree.access import (
     set_ray,
 )
 from ...tree.compiler import inlined, lean_kernel, stack_array
-from ..results import CastHits, cast_hits
+from ..results import CastHits, cast_hits, require_few
 from ..shapes.shape import Floats
 from ..store import Columns
 from .arguments import (
@@ -45,7 +47,7 @@ from .arguments import (
     too_long,
     triangles_in,
 )
-from .exact_ball import cast_ball
+from .exact_ball import in_exact_order
 from .query import (
     AT,
     Candidates,
@@ -64,7 +66,6 @@ from .shapes import only_with
 
 FEW = 64  # obstacles that a ball may touch before more room is made
 MANY = 64  # rays, among meshes of many triangles: they go together
-NEEDS_EXACT = -1  # only exact arithmetic decides
 
 
 class Memory(threading.local):
@@ -110,9 +111,9 @@ def radius_of(radii, row):
 def cast_rows(view, snapshot, shapes, node_handles, rays, place, memory, hits):
     """Fill in the first hits of the rows [start, stop) = place; shapes as of `Columns.shapes`,
     hits are `RowHits`, memory as of `candidates_in`, or None for thin rays. Returns (rows done,
-    room wanted, version of the tree). Fewer rows than there are where there is no room for what
-    the next ball may touch, or it is NEEDS_EXACT instead of the room; REFUSED if the tree is
-    changed, or the snapshot is older; NOT_FINITE if a ray is not.
+    `wanted`, version of the tree). Fewer rows than there are where the next one is not done, as
+    `cast_row` says of it; REFUSED if the tree is changed, or the snapshot is older; NOT_FINITE if
+    a ray is not.
 
     What every ball goes through is inlined: to hand all these arrays over takes a third of a
     ball's time.
@@ -135,7 +136,7 @@ def cast_rows(view, snapshot, shapes, node_handles, rays, place, memory, hits):
         segment = origin[:ndim], direction[:ndim]
         set_ray(scratch.ray, *segment)
         mask, patched = of_row(rays.masks, row), snapshot.loose > 0
-        query = Query(radius, 0.0, limit, mask, rays.skip_inside, False, patched)
+        query = Query(radius, 0.0, limit, mask, rays.skip_inside, rays.every, patched)
         hit, wanted = cast_row(world, snapshot, node_handles, segment, query, scratch, memory)
         if wanted > 0:
             break
@@ -143,7 +144,7 @@ def cast_rows(view, snapshot, shapes, node_handles, rays, place, memory, hits):
         write_row(world, scratch, node_handles, ball, hit, length, row, hits)
         if ndim == 2 and hit.slot != NONE:
             hits.points[row, 2] = origin[2]
-        if wanted == NEEDS_EXACT:
+        if wanted < 0:
             break
         row += 1
     end_query(tree.state)
@@ -152,7 +153,10 @@ def cast_rows(view, snapshot, shapes, node_handles, rays, place, memory, hits):
 
 @inlined
 def cast_row(world, snapshot, node_handles, segment, query, scratch, memory):
-    """(the first hit of a ray or ball; the room that its candidates want, NEEDS_EXACT, or 0)."""
+    """(The first hit of a ray or ball, `wanted`): 0; or the room that its candidates want; or,
+    where only exact arithmetic decides between them, or all are wanted, minus the number of those
+    that are in the memory.
+    """
     caster = Caster(world, query, scratch)
     if memory is None:
         return first_hit(caster, snapshot, segment), np.int64(0)
@@ -165,8 +169,8 @@ def cast_row(world, snapshot, node_handles, segment, query, scratch, memory):
     if count > room.slots.shape[0]:
         return no_hit(), count
     first, sure = first_candidate(world, node_handles, room, count, query.skip_inside)
-    if not sure:
-        return no_hit(), np.int64(NEEDS_EXACT)
+    if not sure or (query.every and count > 1):
+        return no_hit(), -count
     if first == NONE:
         return no_hit(), np.int64(0)
     hit = Hit(room.slots[first], room.times[AT, first], room.features[AT, first])
@@ -175,23 +179,25 @@ def cast_row(world, snapshot, node_handles, segment, query, scratch, memory):
 
 @lean_kernel
 def cast_segment(view, snapshot, shapes, node_handles, ends, ball, memory, place):
-    """`cast_rows` of one row, ends = (start, goal), ball = (radius, mask, skip_inside): (slot, t),
-    and its point and normal as the rows of `place`; where there are meshes, its triangle, too.
-    Instead of a slot NONE, NOT_FINITE, REFUSED, or UNDECIDED, where the row is not done.
+    """`cast_rows` of one row, ends = (start, goal), ball = (radius, mask, skip_inside, every):
+    (slot, t), and its point and normal as the rows of `place`; where there are meshes, its
+    triangle, too. Instead of a slot NONE, NOT_FINITE, REFUSED, or UNDECIDED, with `wanted` for t.
     """
-    (start, goal), (radius, mask, skip_inside) = ends, ball
+    (start, goal), (radius, mask, skip_inside, every) = ends, ball
     masks, slots = stack_array(1, np.uint32), stack_array(1, np.int64)
     t_max, radii = stack_array(1, np.float64), stack_array(1, np.float64)
     t_max[0], masks[0], radii[0] = 1.0, mask, radius
     segment, ts = (start.reshape(1, 3), goal.reshape(1, 3)), stack_array(1, np.float64)
-    rays = Rays(*segment, t_max, masks, only_with(memory, radii), True, skip_inside)
+    rays = Rays(*segment, t_max, masks, only_with(memory, radii), True, skip_inside, every)
     triangles = triangles_in(shapes, place[2:])
     hits = RowHits(slots, stack_array(1, np.uint32), ts, place[:1], place[1:2], triangles)
     given = view, snapshot, shapes, node_handles, rays, (0, 1), memory, hits
-    done = cast_rows(*given)[0]
+    done, wanted, _ = cast_rows(*given)
     if done < 0:
         return np.int64(done), np.inf
-    return (slots[0] if done == 1 else np.int64(UNDECIDED)), ts[0]
+    if done == 0:
+        return np.int64(UNDECIDED), float(wanted)
+    return slots[0], ts[0]
 
 
 UNDECIDED = -9  # no slot, nor NONE, NOT_FINITE or REFUSED
@@ -212,6 +218,39 @@ def first_of_one(
     """The first hit of a thin ray, or ball, ends = (start, goal), shape (3,) each, ball = (radius,
     mask, skip_inside).
     """
+    slot, t, place = _cast_one(tree, columns, ends, (*ball, False))
+    if slot == UNDECIDED:
+        start, goal = ends
+        sweep = Sweep(start, goal - start, *ball, False)
+        for hit in in_exact_order(tree, columns, sweep, _found(-int(t))):
+            return hit
+        return None
+    if slot == NONE:
+        return None
+    if len(place) == 2:
+        return slot, t, place[0], place[1]
+    return slot, t, place[0], place[1], place[2]  # numpy takes a microsecond for *place
+
+
+def all_of_ball(
+    tree: OpenTree, columns: Columns, goal: Floats, sweep: Sweep, most: int | None
+) -> Iterable[BoxHit]:
+    """All obstacles that a ball meets up to a goal (3,), in order, ties by handle;
+    TooManyHitsError if it may touch more than `most`.
+    """
+    slot, t, place = _cast_one(tree, columns, (sweep.origin, goal), sweep[2:])
+    require_few(-int(t) if slot == UNDECIDED else int(slot != NONE), most)
+    if slot == UNDECIDED:
+        return in_exact_order(tree, columns, sweep, _found(-int(t)))
+    return () if slot == NONE else ((slot, t, *place),)
+
+
+def _cast_one(
+    tree: OpenTree, columns: Columns, ends: tuple[Floats, Floats], ball: tuple[Any, ...]
+) -> tuple[int, float, Floats]:
+    """(slot, t, place) as `cast_segment` says, where there was room for what the ball may touch;
+    ends and ball are what it takes.
+    """
     shapes, handles = columns.shapes, columns.node_handle
     place = np.empty((columns.rows_of_hit, 3))
     room = memory.rows if ball[0] > 0.0 else None
@@ -225,16 +264,16 @@ def first_of_one(
         accepted(slot if slot == REFUSED else 0)
     if slot == NOT_FINITE:
         raise too_long(*ends)
-    if slot == UNDECIDED:
-        start, goal = ends
-        for hit in cast_ball(tree, columns, Sweep(start, goal - start, *ball, False)):
-            return hit
-        return None
-    if slot == NONE:
-        return None
-    if len(place) == 2:
-        return slot, t, place[0], place[1]
-    return slot, t, place[0], place[1], place[2]  # numpy takes a microsecond for *place
+    if slot == UNDECIDED and t > 0.0:
+        memory.rows = np.empty((7, int(t)))
+        return _cast_one(tree, columns, ends, ball)
+    return slot, t, place
+
+
+def _found(count: int) -> Candidates:
+    """Those of the last ball."""
+    rows: Candidates = candidates_in.py_func(memory.rows)
+    return Candidates(rows.slots[:count], rows.times[:, :count], rows.features[:, :count])
 
 
 def kernel_for(columns: Columns, rays: Rays, count: int) -> tuple[Any, Any]:
@@ -286,22 +325,24 @@ def _work(
         if start == NOT_FINITE:
             return False
         accepted(start)
-        if start < stop and wanted == NEEDS_EXACT:
-            _answer_exactly(tree, columns, rays, hits, start)
+        if start < stop and wanted < 0:
+            _answer_exactly(tree, columns, rays, hits, start, -wanted)
             start += 1
         elif start < stop:
             memory.rows = np.empty((7, wanted))
     return True
 
 
-def _answer_exactly(tree: OpenTree, columns: Columns, rays: Rays, hits: RowHits, row: int) -> None:
-    """Fill in the exact hit of a row, which says that there is none."""
+def _answer_exactly(
+    tree: OpenTree, columns: Columns, rays: Rays, hits: RowHits, row: int, count: int
+) -> None:
+    """Fill in the exact hit of a row, which says that there is none, from so many candidates."""
     origin, direction = rays.origins[row], rays.directions[row]
     t_max, mask, radius = (
         column[row if len(column) > 1 else 0] for column in (rays.t_max, rays.masks, rays.radii)
     )
     direction = direction - origin if rays.to_goals else direction * t_max
     sweep = Sweep(origin, direction, radius.item(), mask, rays.skip_inside, False)
-    for slot, t, point, normal, *_ in cast_ball(tree, columns, sweep):
+    for slot, t, point, normal, *_ in in_exact_order(tree, columns, sweep, _found(count)):
         hits.handles[row] = columns.node_handle[slot]
         hits.t[row], hits.points[row], hits.normals[row] = t * t_max, point, normal

@@ -68,8 +68,8 @@ def first(
 
 def segment(
     start: ArrayLike, goal: ArrayLike, radius: float, planar: bool
-) -> tuple[Floats, Floats, float]:
-    """Check the ends and the radius of a segment: (origin, direction, radius)."""
+) -> tuple[tuple[Floats, Floats], Floats, float]:
+    """Check the ends and the radius of a segment: (its ends, direction, radius)."""
     radius = checks.limit('radius', radius)
     if math.isinf(radius):
         raise ValueError('radius must be finite')
@@ -80,7 +80,7 @@ def segment(
     direction = u - x, v - y, w - z
     if not all(map(math.isfinite, direction)):
         raise too_long(origin, end)
-    return origin, np.array(direction), radius
+    return (origin, end), np.array(direction), radius
 
 
 @inlined

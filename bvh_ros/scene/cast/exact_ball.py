@@ -31,30 +31,14 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from ...tree.access import INSIDE, OpenTree, set_ray
-from ...tree.compiler import lean_kernel, stack_array
+from ...tree.access import INSIDE, OpenTree
 from ..distance import batch
 from ..names import Slots
-from ..results import require_few
 from ..shapes.footprint import ROUND
 from ..shapes.shape import Floats
 from ..store import Columns
-from .arguments import SCRATCH, BoxHit, Hits, Sweep, call, scratch_in, world_of
-from .query import (
-    AT,
-    EARLY,
-    LATE,
-    MINUTE,
-    SWEEP_SLACK,
-    Candidates,
-    Caster,
-    Hit,
-    Query,
-    candidates,
-    described,
-    slack_of,
-    touch,
-)
+from .arguments import BoxHit, Hits, Sweep, world_of
+from .query import AT, EARLY, LATE, MINUTE, SWEEP_SLACK, Candidates, described
 
 # ---- the exact time of contact
 
@@ -179,60 +163,25 @@ def _square_root(x: Fraction) -> Fraction:
 FEW = 64  # boxes whose roots are computed one by one
 
 
-@lean_kernel
-def find_candidates(world, segment, query, room, place):
-    """`candidates` of one ball, segment = (origin, direction): (how many there are, whether it is
-    one that is surely touched, and surely from the start or not). The point and normal of that one
-    are the rows of `place`.
-    """
-    scratch = scratch_in(stack_array(SCRATCH, np.float64), segment[0].shape[0])
-    set_ray(scratch.ray, *segment)
-    query = Query(query.radius, slack_of(world, scratch.ray, query.radius), *query[2:])
-    count = candidates(Caster(world, query, scratch), None, segment, room)
-    sure = False
-    if count == 1 and room.slots.shape[0] > 0 and room.times[LATE, 0] < np.inf:
-        sure = (room.features[EARLY, 0] == INSIDE) == (room.features[LATE, 0] == INSIDE)
-    if sure:
-        hit = Hit(room.slots[0], room.times[AT, 0], room.features[AT, 0])
-        touch(world, scratch, query.radius, hit, place[0], place[1], None)
-    return count, sure
-
-
-def cast_ball(
-    tree: OpenTree, columns: Columns, sweep: Sweep, most: int | None = None
+def in_exact_order(
+    tree: OpenTree, columns: Columns, sweep: Sweep, found: Candidates
 ) -> Iterable[BoxHit]:
     """The first obstacle that a ball meets from `origin` to `origin + direction`, or all in order,
-    ties by handle: slot, t, point and normal of each. TooManyHitsError if it may touch more than
-    `most`.
+    ties by handle: slot, t, point and normal of each. `found` are all that it may meet first, or
+    at all.
     """
-    world, ndim = world_of(tree, columns), tree.ndim
-    origin, direction, radius, mask, skip_inside, every = sweep
-    segment = origin[:ndim], direction[:ndim]
-    query = Query(radius, 0.0, 1.0, mask, skip_inside, every, False)
-    count, room, place = FEW, Candidates(*(np.empty(0),) * 3), np.zeros((2, 3))
-    while count > len(room.slots):
-        times, features = np.empty((3, count)), np.empty((3, count), np.int64)
-        room = Candidates(np.empty(count, np.int64), times, features)
-        count, sure = call(find_candidates, world, segment, query, room, place)
-    if every:
-        require_few(count, most)
-    if count == 0 or (sure and skip_inside and room.features[AT, 0] == INSIDE):
-        return ()
-    if sure:
-        if ndim == 2:
-            place[0, 2] = origin[2]
-        return ((room.slots.item(0), room.times.item(AT, 0), place[0], place[1]),)
+    world, ndim, origin = world_of(tree, columns), tree.ndim, sweep.origin
+    segment = origin[:ndim], sweep.direction[:ndim]
     sweep = sweep._replace(origin=segment[0], direction=segment[1])
-    found = Candidates(room.slots[:count], room.times[:, :count], room.features[:, :count])
     slots, ts, features = _in_order(columns, found, sweep)
-    if skip_inside:
+    if sweep.skip_inside:
         outside = features != INSIDE
         slots, ts, features = slots[outside], ts[outside], features[outside]
-    if not every:
+    if not sweep.every:
         slots, ts, features = slots[:1], ts[:1], features[:1]
     # Of one type, however many there are: rows of one column are contiguous, others are not.
     hits = Hits(slots, np.ascontiguousarray(ts), np.ascontiguousarray(features))
-    return described(world, segment, radius, hits, origin)
+    return described(world, segment, sweep.radius, hits, origin)
 
 
 def _in_order(columns: Columns, found: Candidates, sweep: Sweep) -> Hits:
