@@ -109,7 +109,7 @@ class RayQueries:
         if self._timed.time_matters(at, until, 1):
             found = self._timed.every_ray(sweep, at, until, most)
         elif radius > 0.0:
-            found = batch.all_of_ball(store.tree, store.columns, ends[1], sweep, most)
+            found = batch.hits_of_ball(store.tree, store.columns, ends[1], sweep, most)
         elif store.columns.shaped:
             found = query.cast_every(store.tree, store.columns, sweep, most)
         else:

@@ -24,6 +24,7 @@ QUESTIONS = {
     'clearance': lambda scene, at, x: scene.clearance(f'{int(x[0])}', at=at),
     'raycast': lambda scene, at, x: scene.raycast(x, x + 5, at=at),
     'swept ball': lambda scene, at, x: scene.raycast(x, x + 5, 0.25, at=at),
+    'all of a swept ball': lambda scene, at, x: scene.raycast_all(x, x + 5, 0.25, at=at),
     'sweep_many': lambda scene, at, x: scene.sweep_many(x[None], x[None] + 5, 0.25, at=at),
 }
 

@@ -69,7 +69,9 @@ MANY = 64  # rays, among meshes of many triangles: they go together
 
 
 class Memory(threading.local):
-    """Scratch of a thread, for the `Candidates` of a ball: kernels alone read it."""
+    """Scratch of a thread, for the `Candidates` of a ball: kernels alone read it, since a question
+    that a signal handler asks meanwhile writes there, too.
+    """
 
     def __init__(self) -> None:
         self.rows = np.empty((7, FEW))
@@ -218,11 +220,11 @@ def first_of_one(
     """The first hit of a thin ray, or ball, ends = (start, goal), shape (3,) each, ball = (radius,
     mask, skip_inside).
     """
-    slot, t, place = _cast_one(tree, columns, ends, (*ball, False))
+    room = memory.rows if ball[0] > 0.0 else None
+    slot, t, place = _cast_one(tree, columns, ends, (*ball, False), room)
     if slot == UNDECIDED:
         start, goal = ends
-        sweep = Sweep(start, goal - start, *ball, False)
-        for hit in in_exact_order(tree, columns, sweep, _found(-int(t))):
+        for hit in hits_of_ball(tree, columns, goal, Sweep(start, goal - start, *ball, False)):
             return hit
         return None
     if slot == NONE:
@@ -232,28 +234,33 @@ def first_of_one(
     return slot, t, place[0], place[1], place[2]  # numpy takes a microsecond for *place
 
 
-def all_of_ball(
-    tree: OpenTree, columns: Columns, goal: Floats, sweep: Sweep, most: int | None
+def hits_of_ball(
+    tree: OpenTree, columns: Columns, goal: Floats, sweep: Sweep, most: int | None = None
 ) -> Iterable[BoxHit]:
-    """All obstacles that a ball meets up to a goal (3,), in order, ties by handle;
+    """The first obstacle that a ball meets up to a goal (3,), or all in order, ties by handle;
     TooManyHitsError if it may touch more than `most`.
     """
-    slot, t, place = _cast_one(tree, columns, (sweep.origin, goal), sweep[2:])
-    require_few(-int(t) if slot == UNDECIDED else int(slot != NONE), most)
+    wanted, ends = FEW, (sweep.origin, goal)
+    while wanted > 0:
+        room = np.empty((7, wanted))
+        slot, t, place = _cast_one(tree, columns, ends, sweep[2:], room)
+        wanted = int(t) if slot == UNDECIDED else 0
+    require_few(-wanted if slot == UNDECIDED else int(slot != NONE), most)
     if slot == UNDECIDED:
-        return in_exact_order(tree, columns, sweep, _found(-int(t)))
+        return in_exact_order(tree, columns, sweep, _found(room, -wanted))
     return () if slot == NONE else ((slot, t, *place),)
 
 
 def _cast_one(
-    tree: OpenTree, columns: Columns, ends: tuple[Floats, Floats], ball: tuple[Any, ...]
+    tree: OpenTree,
+    columns: Columns,
+    ends: tuple[Floats, Floats],
+    ball: tuple[Any, ...],
+    room: Floats | None,
 ) -> tuple[int, float, Floats]:
-    """(slot, t, place) as `cast_segment` says, where there was room for what the ball may touch;
-    ends and ball are what it takes.
-    """
+    """(slot, t, place) as `cast_segment` says, which takes ends, ball and room."""
     shapes, handles = columns.shapes, columns.node_handle
     place = np.empty((columns.rows_of_hit, 3))
-    room = memory.rows if ball[0] > 0.0 else None
     view, snapshot = tree.ready_snapshot() or (tree.view(), no_snapshot(tree.ndim))
     given = view, snapshot, shapes, handles, ends, ball, room, place
     code = code_for(cast_segment, shapes, given, room is None)
@@ -264,22 +271,19 @@ def _cast_one(
         accepted(slot if slot == REFUSED else 0)
     if slot == NOT_FINITE:
         raise too_long(*ends)
-    if slot == UNDECIDED and t > 0.0:
-        memory.rows = np.empty((7, int(t)))
-        return _cast_one(tree, columns, ends, ball)
     return slot, t, place
 
 
-def _found(count: int) -> Candidates:
-    """Those of the last ball."""
-    rows: Candidates = candidates_in.py_func(memory.rows)
+def _found(room: Any, count: int) -> Candidates:
+    """So many of those that a kernel has written."""
+    rows: Candidates = candidates_in.py_func(room)
     return Candidates(rows.slots[:count], rows.times[:, :count], rows.features[:, :count])
 
 
-def kernel_for(columns: Columns, rays: Rays, count: int) -> tuple[Any, Any]:
-    """The kernel that answers so many rows, and what it works in."""
+def kernel_for(columns: Columns, rays: Rays, count: int, rows: Floats) -> tuple[Any, Any]:
+    """The kernel that answers so many rays, and what it works in: for balls, rows of `Memory`."""
     if rays.radii is not None:
-        return cast_rows, memory.rows
+        return cast_rows, rows
     depth = columns.meshes.depth
     if count < MANY or not depth or columns.shapes[0] is None:
         return cast_rows, None
@@ -295,11 +299,11 @@ def first_hits(tree: OpenTree, columns: Columns, rays: Rays, threads: int = 1) -
     # As RowHits(...), which would take one more call of a function of Python's.
     triangles = None if columns.rows_of_hit == 2 else np.empty((count, 3))
     hits = tuple.__new__(RowHits, (NO_SLOTS, *parts, triangles))
-    kernel, room = kernel_for(columns, rays, count)
     ready = tree.ready_snapshot() if threads == 1 else None
     view, snapshot = ready or tree_and_snapshot(tree, count)
     handles = columns.node_handle
     if threads == 1:  # without what others take: a tenth of a call of a row
+        kernel, room = kernel_for(columns, rays, count, memory.rows)
         every = view, snapshot, shapes, handles, rays, (0, count), room, hits
         begun, _, version = code_for(kernel, shapes, every, room is None)(*every)
         if begun == count:
@@ -318,31 +322,32 @@ def _work(
 ) -> bool:
     """Fill in the rows [start, stop); whether all rays are finite."""
     rays: Rays = given[4]
+    rows = np.empty((7, FEW))
     while start < stop:
-        kernel, room = kernel_for(columns, rays, stop - start)
+        kernel, room = kernel_for(columns, rays, stop - start, rows)
         some = *given, (start, stop), room, hits
         start, wanted, _ = code_for(kernel, columns.shapes, some, room is None)(*some)
         if start == NOT_FINITE:
             return False
         accepted(start)
         if start < stop and wanted < 0:
-            _answer_exactly(tree, columns, rays, hits, start, -wanted)
+            _answer_exactly(tree, columns, rays, hits, start, _found(room, -wanted))
             start += 1
         elif start < stop:
-            memory.rows = np.empty((7, wanted))
+            rows = np.empty((7, wanted))
     return True
 
 
 def _answer_exactly(
-    tree: OpenTree, columns: Columns, rays: Rays, hits: RowHits, row: int, count: int
+    tree: OpenTree, columns: Columns, rays: Rays, hits: RowHits, row: int, found: Candidates
 ) -> None:
-    """Fill in the exact hit of a row, which says that there is none, from so many candidates."""
+    """Fill in the exact hit of a row, which says that there is none."""
     origin, direction = rays.origins[row], rays.directions[row]
     t_max, mask, radius = (
         column[row if len(column) > 1 else 0] for column in (rays.t_max, rays.masks, rays.radii)
     )
     direction = direction - origin if rays.to_goals else direction * t_max
     sweep = Sweep(origin, direction, radius.item(), mask, rays.skip_inside, False)
-    for slot, t, point, normal, *_ in in_exact_order(tree, columns, sweep, _found(count)):
+    for slot, t, point, normal, *_ in in_exact_order(tree, columns, sweep, found):
         hits.handles[row] = columns.node_handle[slot]
         hits.t[row], hits.points[row], hits.normals[row] = t * t_max, point, normal
