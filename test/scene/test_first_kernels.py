@@ -67,7 +67,7 @@ def test_a_batch_of_boxes_goes_on_with_the_tree_that_it_began_with(monkeypatch):
     answer_exactly = Distances._answer_exactly
 
     def moving_on(distances, *given):
-        put(scene, '19', 70.0 + given[-2])
+        put(scene, '19', 70.0 + given[-1])
         return answer_exactly(distances, *given)
 
     monkeypatch.setattr(Distances, '_answer_exactly', moving_on)

@@ -222,7 +222,7 @@ def first_of_one(
     """
     room = memory.rows if ball[0] > 0.0 else None
     slot, t, place = _cast_one(tree, columns, ends, (*ball, False), room)
-    if slot == UNDECIDED:
+    if slot == UNDECIDED:  # once more, in room that no other question has
         start, goal = ends
         for hit in hits_of_ball(tree, columns, goal, Sweep(start, goal - start, *ball, False)):
             return hit
