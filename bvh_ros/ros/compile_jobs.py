@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 from bvh_ros import DynamicBVH
 from bvh_ros.ros.cdr import path
 from bvh_ros.scene import Mesh, NodeScene, Numbered, ShapeKind, Shapes
-from bvh_ros.scene.cast.arguments import Rays
-from bvh_ros.scene.cast.batch import first_hits, first_of_one
+from bvh_ros.scene.cast.arguments import THIN, Hits, Rays, world_of
+from bvh_ros.scene.cast.batch import first_hits
+from bvh_ros.scene.cast.query import described
 from bvh_ros.scene.distance.narrow_phase import hull_gap
 from bvh_ros.scene.names import Registry, as_families
 from bvh_ros.scene.shapes.hull import Hull
@@ -169,10 +170,11 @@ def _distances_of_meshes(needs: Needs) -> None:
         _ = Mesh(fine).tree  # with the snapshot that many triangles have
 
 
-def _balls(needs: Needs) -> None:
+def _rays(needs: Needs) -> None:
     for scene in scenes(needs):
-        scene.raycast(START, GOAL, RADIUS)
-        scene.raycast_all(START, GOAL, RADIUS)
+        for radius in (0.0, RADIUS):
+            scene.raycast(START, GOAL, radius)
+            scene.raycast_all(START, GOAL, radius)
 
 
 def _overlaps(needs: Needs) -> None:
@@ -183,18 +185,17 @@ def _overlaps(needs: Needs) -> None:
         scene.overlap(START, FAR)
 
 
-def _rays(needs: Needs) -> None:
-    store = _no_shapes(needs)
-    ends = np.zeros(3), np.zeros(3)
-    first_of_one(store.tree, store.columns, ends, (0.0, np.uint32(1), False))
-    scene = with_shapes(needs)
-    scene.raycast(START, GOAL)
-    scene.raycast_all(START, GOAL)
+def _hits(needs: Needs) -> None:
+    """Where rays and balls hit shapes."""
+    store, point = _no_shapes(needs), np.zeros(3)
+    segment = (point[: store.tree.ndim],) * 2
+    none = Hits(np.empty(0, np.int64), np.empty(0), np.empty(0, np.int64))
+    described(world_of(store.tree, store.columns), segment, 0.0, none, point)
 
 
 def _batches_of_rays(needs: Needs) -> None:
     store, row = _no_shapes(needs), np.zeros((1, 3))
-    rays = Rays(row, row, np.ones(1), np.ones(1, np.uint32), None, False, False, False)
+    rays = Rays(row, row, np.ones(1), np.ones(1, np.uint32), THIN, False, False, False)
     first_hits(store.tree, store.columns, rays)
     with_shapes(needs).raycast_many([START], [GOAL])
 
@@ -281,12 +282,12 @@ def jobs(needs: Needs) -> list[Job]:
         (True, 'names', 1.5, _names),
         (batch, 'batches of rays', 8.0, _batches),
         (meshes, 'distances of meshes', 5.0, _distances_of_meshes),
-        (True, 'balls', 10.0, _balls),
+        (True, 'rays and balls', 13.0, _rays),
+        (True, 'hits', 2.0, _hits),
         (True, 'overlaps', 6.0, _overlaps),
-        (True, 'rays', 4.0, _rays),
-        (batch, 'batches of rays at shapes', 4.0, _batches_of_rays),
         (True, 'boxes', 3.0, _among_boxes),
         (batch and needs.threads > 1, 'threads', 1.0, _threads),
+        (batch, 'batches of rays at shapes', 4.0, _batches_of_rays),
         (needs.moving, 'other times', 70.0, other_times),
         (True, 'checks', 1.5, _checks),
     ]

@@ -10,8 +10,8 @@ from numpy.typing import ArrayLike
 
 from ..tree import checks
 from ..tree.access import ALL, EVERYTHING
-from .cast import batch, boxes, query
-from .cast.arguments import UNIT_T_MAX, Rays, Sweep, refuse_infinite
+from .cast import batch, boxes
+from .cast.arguments import THIN, UNIT_T_MAX, Rays, Sweep, refuse_infinite
 from .results import CastHits, SceneHit
 from .store import Obstacles
 from .timed_queries import TimedQueries
@@ -108,10 +108,8 @@ class RayQueries:
         sweep = Sweep(ends[0], direction, radius, bits, skip, True)
         if self._timed.time_matters(at, until, 1):
             found = self._timed.every_ray(sweep, at, until, most)
-        elif radius > 0.0:
-            found = batch.hits_of_ball(store.tree, store.columns, ends[1], sweep, most)
-        elif store.columns.shaped:
-            found = query.cast_every(store.tree, store.columns, sweep, most)
+        elif radius > 0.0 or store.columns.shaped:
+            found = batch.hits_in_order(store.tree, store.columns, ends[1], sweep, most)
         else:
             found = boxes.every(store.tree, ends[0], direction, bits, skip, most)
         return store.each_once([store.hit(*hit) for hit in found])
@@ -212,7 +210,7 @@ class RayQueries:
     def _first_hits(self, given: tuple[Any, ...], threads: int, at: Any, until: Any) -> CastHits:
         """First hits of `Rays` whose masks and radii are still to be checked."""
         origins, directions, limits, mask, radius, to_goals, skip = given
-        store, count, radii = self._store, len(origins), None
+        store, count, radii = self._store, len(origins), THIN
         masks = EVERYTHING if mask is ALL else checks.masks_or_one(mask, count)
         if type(threads) is not int or threads != 1:
             threads = checks.whole('threads', threads, 1)
@@ -220,13 +218,13 @@ class RayQueries:
             radii = checks.lengths_or_one('radius', radius, count)
             # numpy's any() takes as long as a row.
             if not (radii.item() if len(radii) == 1 else radii.any()):
-                radii = None
+                radii = THIN
         # As Rays(...), which would take one more call of a function of Python's.
         parts = origins, directions, limits, masks, radii, to_goals, skip, False
         rays: Rays = tuple.__new__(Rays, parts)
         if (at is not None or until is not None) and self._timed.time_matters(at, until, count):
             return self._timed.first_rays(rays, at, until, threads)
-        if radii is None and not store.columns.shaped:
+        if radii is THIN and not store.columns.shaped:
             hits = boxes.first_hits(store.tree, store.columns.node_handle, rays, threads)
         else:
             hits = batch.first_hits(store.tree, store.columns, rays, threads)

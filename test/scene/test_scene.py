@@ -76,9 +76,9 @@ assert scene.overlap([0, 0, 0], [0, 0, 0], tolerance=1)
 assert (scene.raycast_many(np.zeros((2, 3)), np.eye(3)[:2])[0] == 4).all()
 assert not {'fcl', 'rclpy'} & set(sys.modules)
 assert not scene.stats()['narrow_phase'] and scene.stats()['shaped'] == 0
-from bvh_ros.scene.cast import query
+from bvh_ros.scene.cast import batch
 from bvh_ros.scene.distance.query import overlap_kernel
-assert not query.every_hit.signatures and len(overlap_kernel.signatures) == 1
+assert not batch.cast_segment.signatures and len(overlap_kernel.signatures) == 1
 scene.update('a', ['e'], Shapes.boxes([[0, 0, 9]], [1, 2, 3], [[0, 0, 0.1, 0.995]]), stamp=1)
 assert scene.overlap([0, 0, 8], [1, 1, 9]) and len(overlap_kernel.signatures) == 2
 assert 'fcl' not in sys.modules

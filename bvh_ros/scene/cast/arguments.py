@@ -16,13 +16,14 @@ import numpy as np
 from numba import types
 from numpy.typing import NDArray
 
-from ...tree.access import RAY_FLOATS, RAY_ROWS, ROOT, OpenTree, checks
+from ...tree.access import NOTHING, RAY_FLOATS, RAY_ROWS, ROOT, OpenTree, checks
 from ...tree.compiler import chosen_by_types, entry_point, inlined, lean_kernel
 from ..shapes.shape import Floats
 from ..store import Columns
 
 SCRATCH = RAY_FLOATS + 21  # floats of a `Scratch`
 UNIT_T_MAX = np.ones(1)  # of segments
+THIN = NOTHING  # the radii of thin rays
 # slot, t, point, normal; where there are meshes, a row of `room_for_triangles`, too
 BoxHit = tuple[int, float, Floats, Floats] | tuple[int, float, Floats, Floats, Floats]
 
@@ -48,7 +49,7 @@ class Rays(NamedTuple):
     t_max: Any
     masks: Any
     radii: Any
-    """None for thin rays: then no kernel compiles anything of balls."""
+    """THIN itself for thin rays."""
     to_goals: Any
     skip_inside: Any
     every: Any
@@ -96,8 +97,6 @@ def refuse_infinite(rays: Rays) -> None:
     with np.errstate(over='ignore', invalid='ignore'):
         if rays.to_goals:
             finite = np.isfinite(rays.directions - rays.origins).all(axis=1)
-        elif rays.radii is None:
-            return
         else:
             lengths = every_row(rays.t_max, count)[:, None]
             finite = np.isfinite(rays.directions * lengths).all(axis=1)

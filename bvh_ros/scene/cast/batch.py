@@ -38,6 +38,7 @@ from ..shapes.shape import Floats
 from ..store import Columns
 from .arguments import (
     SCRATCH,
+    THIN,
     BoxHit,
     CastWorld,
     Rays,
@@ -54,23 +55,23 @@ from .query import (
     Caster,
     Hit,
     Query,
-    candidates,
+    drop_late,
     fill_segment,
+    find,
     first_candidate,
-    first_hit,
+    first_of,
     no_hit,
     slack_of,
     write_row,
 )
-from .shapes import only_with
 
 FEW = 64  # obstacles that a ball may touch before more room is made
 MANY = 64  # rays, among meshes of many triangles: they go together
 
 
 class Memory(threading.local):
-    """Scratch of a thread, for the `Candidates` of a ball: kernels alone read it, since a question
-    that a signal handler asks meanwhile writes there, too.
+    """Scratch of a thread, for `Candidates`: kernels alone read it, since a question that a signal
+    handler asks meanwhile writes there, too.
     """
 
     def __init__(self) -> None:
@@ -102,20 +103,12 @@ def candidates_in(rows):
     return Candidates(rows[0].view(np.int64), rows[1:4], rows[4:7].view(np.int64))
 
 
-@inlined
-def radius_of(radii, row):
-    if radii is None:
-        return 0.0
-    return of_row(radii, row)
-
-
 @lean_kernel
 def cast_rows(view, snapshot, shapes, node_handles, rays, place, memory, hits):
     """Fill in the first hits of the rows [start, stop) = place; shapes as of `Columns.shapes`,
-    hits are `RowHits`, memory as of `candidates_in`, or None for thin rays. Returns (rows done,
-    `wanted`, version of the tree). Fewer rows than there are where the next one is not done, as
-    `cast_row` says of it; REFUSED if the tree is changed, or the snapshot is older; NOT_FINITE if
-    a ray is not.
+    hits are `RowHits`, memory as of `candidates_in`. Returns (rows done, `wanted`, version of the
+    tree). Fewer rows than there are where the next one is not done, as `cast_row` says of it;
+    REFUSED if the tree is changed, or the snapshot is older; NOT_FINITE if a ray is not.
 
     What every ball goes through is inlined: to hand all these arrays over takes a third of a
     ball's time.
@@ -129,7 +122,7 @@ def cast_rows(view, snapshot, shapes, node_handles, rays, place, memory, hits):
     version = tree.state[CHANGES]
     world = CastWorld(tree.nodes, tree.tight, tree.handles, tree.state[ROOT], *shapes)
     while row < stop:
-        radius, t_max = radius_of(rays.radii, row), of_row(rays.t_max, row)
+        radius, t_max = of_row(rays.radii, row), of_row(rays.t_max, row)
         length, limit = (t_max, 1.0) if radius > 0.0 else (1.0, t_max)
         origin = rays.origins[row]
         if not fill_segment(origin, rays.directions[row], rays.to_goals, length, direction):
@@ -142,8 +135,7 @@ def cast_rows(view, snapshot, shapes, node_handles, rays, place, memory, hits):
         hit, wanted = cast_row(world, snapshot, node_handles, segment, query, scratch, memory)
         if wanted > 0:
             break
-        ball = only_with(rays.radii, radius)
-        write_row(world, scratch, node_handles, ball, hit, length, row, hits)
+        write_row(world, scratch, node_handles, radius, hit, length, row, hits)
         if ndim == 2 and hit.slot != NONE:
             hits.points[row, 2] = origin[2]
         if wanted < 0:
@@ -159,17 +151,18 @@ def cast_row(world, snapshot, node_handles, segment, query, scratch, memory):
     where only exact arithmetic decides between them, or all are wanted, minus the number of those
     that are in the memory.
     """
-    caster = Caster(world, query, scratch)
-    if memory is None:
-        return first_hit(caster, snapshot, segment), np.int64(0)
-    if query.radius == 0.0:
-        return first_hit(caster, snapshot, segment), np.int64(0)
-    room = candidates_in(memory)
-    slack = slack_of(world, scratch.ray, query.radius)
+    room, slack = candidates_in(memory), 0.0
+    if query.radius > 0.0:
+        slack = slack_of(world, scratch.ray, query.radius)
     caster = Caster(world, Query(query.radius, slack, *query[2:]), scratch)
-    count = candidates(caster, snapshot, segment, room)
+    found = find(caster, snapshot, segment, room)
+    if query.radius == 0.0 and not query.every:
+        return first_of(caster, found), np.int64(0)
+    count = drop_late(room, found) if query.radius > 0.0 else found.count
     if count > room.slots.shape[0]:
         return no_hit(), count
+    if query.radius == 0.0:
+        return no_hit(), -count
     first, sure = first_candidate(world, node_handles, room, count, query.skip_inside)
     if not sure or (query.every and count > 1):
         return no_hit(), -count
@@ -190,7 +183,7 @@ def cast_segment(view, snapshot, shapes, node_handles, ends, ball, memory, place
     t_max, radii = stack_array(1, np.float64), stack_array(1, np.float64)
     t_max[0], masks[0], radii[0] = 1.0, mask, radius
     segment, ts = (start.reshape(1, 3), goal.reshape(1, 3)), stack_array(1, np.float64)
-    rays = Rays(*segment, t_max, masks, only_with(memory, radii), True, skip_inside, every)
+    rays = Rays(*segment, t_max, masks, radii, True, skip_inside, every)
     triangles = triangles_in(shapes, place[2:])
     hits = RowHits(slots, stack_array(1, np.uint32), ts, place[:1], place[1:2], triangles)
     given = view, snapshot, shapes, node_handles, rays, (0, 1), memory, hits
@@ -220,11 +213,10 @@ def first_of_one(
     """The first hit of a thin ray, or ball, ends = (start, goal), shape (3,) each, ball = (radius,
     mask, skip_inside).
     """
-    room = memory.rows if ball[0] > 0.0 else None
-    slot, t, place = _cast_one(tree, columns, ends, (*ball, False), room)
+    slot, t, place = _cast_one(tree, columns, ends, (*ball, False), memory.rows)
     if slot == UNDECIDED:  # once more, in room that no other question has
         start, goal = ends
-        for hit in hits_of_ball(tree, columns, goal, Sweep(start, goal - start, *ball, False)):
+        for hit in hits_in_order(tree, columns, goal, Sweep(start, goal - start, *ball, False)):
             return hit
         return None
     if slot == NONE:
@@ -234,11 +226,11 @@ def first_of_one(
     return slot, t, place[0], place[1], place[2]  # numpy takes a microsecond for *place
 
 
-def hits_of_ball(
+def hits_in_order(
     tree: OpenTree, columns: Columns, goal: Floats, sweep: Sweep, most: int | None = None
 ) -> Iterable[BoxHit]:
-    """The first obstacle that a ball meets up to a goal (3,), or all in order, ties by handle;
-    TooManyHitsError if it may touch more than `most`.
+    """The first obstacle that a ray or ball meets up to a goal (3,), or all in order, ties by
+    handle; TooManyHitsError if it may touch more than `most`.
     """
     wanted, ends = FEW, (sweep.origin, goal)
     while wanted > 0:
@@ -256,14 +248,14 @@ def _cast_one(
     columns: Columns,
     ends: tuple[Floats, Floats],
     ball: tuple[Any, ...],
-    room: Floats | None,
+    room: Floats,
 ) -> tuple[int, float, Floats]:
     """(slot, t, place) as `cast_segment` says, which takes ends, ball and room."""
     shapes, handles = columns.shapes, columns.node_handle
     place = np.empty((columns.rows_of_hit, 3))
     view, snapshot = tree.ready_snapshot() or (tree.view(), no_snapshot(tree.ndim))
     given = view, snapshot, shapes, handles, ends, ball, room, place
-    code = code_for(cast_segment, shapes, given, room is None)
+    code = code_for(cast_segment, shapes, given)
     slot, t = code(*given)
     if slot == REFUSED:
         given = tree.view(), no_snapshot(tree.ndim), *given[2:]
@@ -276,17 +268,15 @@ def _cast_one(
 
 def _found(room: Any, count: int) -> Candidates:
     """So many of those that a kernel has written."""
-    rows: Candidates = candidates_in.py_func(room)
-    return Candidates(rows.slots[:count], rows.times[:, :count], rows.features[:, :count])
+    rows = room[:, :count]
+    return Candidates(rows[0].view(np.int64), rows[1:4], rows[4:7].view(np.int64))
 
 
 def kernel_for(columns: Columns, rays: Rays, count: int, rows: Floats) -> tuple[Any, Any]:
-    """The kernel that answers so many rays, and what it works in: for balls, rows of `Memory`."""
-    if rays.radii is not None:
-        return cast_rows, rows
+    """The kernel that answers so many rays, and what it works in: mostly rows of `Memory`."""
     depth = columns.meshes.depth
-    if count < MANY or not depth or columns.shapes[0] is None:
-        return cast_rows, None
+    if rays.radii is not THIN or count < MANY or not depth or columns.shapes[0] is None:
+        return cast_rows, rows
     from .mesh_batch import cast_together, room_for
 
     return cast_together, room_for(depth)
@@ -305,7 +295,7 @@ def first_hits(tree: OpenTree, columns: Columns, rays: Rays, threads: int = 1) -
     if threads == 1:  # without what others take: a tenth of a call of a row
         kernel, room = kernel_for(columns, rays, count, memory.rows)
         every = view, snapshot, shapes, handles, rays, (0, count), room, hits
-        begun, _, version = code_for(kernel, shapes, every, room is None)(*every)
+        begun, _, version = code_for(kernel, shapes, every)(*every)
         if begun == count:
             return cast_hits(parts, triangles)
         if begun < 0:
@@ -326,7 +316,7 @@ def _work(
     while start < stop:
         kernel, room = kernel_for(columns, rays, stop - start, rows)
         some = *given, (start, stop), room, hits
-        start, wanted, _ = code_for(kernel, columns.shapes, some, room is None)(*some)
+        start, wanted, _ = code_for(kernel, columns.shapes, some)(*some)
         if start == NOT_FINITE:
             return False
         accepted(start)

@@ -26,9 +26,7 @@ from .shapes import (
     enter_rounded_box,
     enter_rounded_cylinder,
     enter_sphere,
-    only_with,
     point_along,
-    radius_of,
     reach_of,
     time_of,
 )
@@ -60,14 +58,14 @@ def to_frame(shape, lo, hi, ray, radius, local):
 
 
 @lean_kernel
-def enter_shape(shape, hulls, pair, given, t_max, work):
-    """(t, feature) at which a ray, or a ball swept along it, meets the shape; t inf if never.
-    `given`: the radius of the ball, None for a ray.
+def enter_shape(shape, hulls, pair, radius, t_max, work):
+    """(t, feature) at which a ray, radius 0, or a ball swept along it, meets the shape; t inf if
+    never.
 
     t is in units of the ray's direction. What misses, but would not if the shape were larger by
     the frame's slack, touches: so rounding makes no hit a miss.
     """
-    (ray, lo, hi), radius = pair, radius_of(given)
+    ray, lo, hi = pair
     if not shape.shaped and radius == 0.0:
         hit, t, axis = intersect_exact(lo, hi, ray, t_max)
         return (t if hit else np.inf), axis
@@ -78,15 +76,14 @@ def enter_shape(shape, hulls, pair, given, t_max, work):
     reach, ball, half = reach_of(t_max, frame.pace), radius * scale, shape.half
     s, feature = np.inf, np.int64(INSIDE)
     if shape.kind == CYLINDER and ball > 0.0:
-        if given is not None:
-            radius, height = half[0] * scale, half[2] * scale
-            s, feature = enter_rounded_cylinder(radius, height, ball, reach, slack, work)
+        base, height = half[0] * scale, half[2] * scale
+        s, feature = enter_rounded_cylinder(base, height, ball, reach, slack, work)
     elif shape.kind != MESH:
         s, feature = enter_form(shape, lo, hi, scale, ball, 0.0, reach, work)
         if s == np.inf and shape.shaped:
             s, feature = enter_form(shape, lo, hi, scale, ball, slack, reach, work)
     elif hulls is not None:  # last: compiled meanwhile in another process, see `compile_jobs`
-        return enter_mesh(hulls, shape, frame, pair, only_with(given, ball), t_max, work)
+        return enter_mesh(hulls, shape, frame, pair, ball, t_max, work)
     return time_of(s, frame.pace, t_max), feature
 
 
@@ -152,26 +149,26 @@ def axis_point(shape, scale, z):
 
 
 @inlined
-def contact(shape, hulls, pair, hit, given, work, point, normal, triangle):
+def contact(shape, hulls, pair, hit, radius, work, point, normal, triangle):
     """Fill in the obstacle's point of a hit (t, feature), the outward normal, and the triangle,
     see `arguments.room_for_triangles`.
     """
-    if shape.kind == MESH and radius_of(given) == 0.0:
+    if shape.kind == MESH and radius == 0.0:
         if hulls is not None:
             touch_mesh(hulls, shape, pair.ray, hit, point, normal, triangle)
     else:
         clear_triangle(triangle)
-        touch_shape(shape, hulls, pair, hit, given, work, point, normal)
+        touch_shape(shape, hulls, pair, hit, radius, work, point, normal)
 
 
 @lean_kernel
-def touch_shape(shape, hulls, pair, hit, given, work, point, normal):
+def touch_shape(shape, hulls, pair, hit, radius, work, point, normal):
     """Fill in the point and the normal where a thin ray hits no mesh, or a ball any shape.
 
     The normal of a ball is zero where its centre is in the obstacle, or no farther from it than
     rounding: there it would be noise.
     """
-    (ray, lo, hi), radius = pair, radius_of(given)
+    ray, lo, hi = pair
     t, feature = hit
     frame = to_frame(shape, lo, hi, ray, radius, work)
     s = t * frame.pace if t > 0.0 else 0.0
@@ -186,7 +183,7 @@ def touch_shape(shape, hulls, pair, hit, given, work, point, normal):
     if not shape.shaped:
         scale, noise = 1.0, noise / scale
     else:
-        closest_point(shape, only_with(given, hulls), scale, centre, closest)
+        closest_point(shape, hulls, scale, centre, closest)
     if radius > 0.0:
         for axis in range(3):
             outward[axis] = centre[axis] - closest[axis]

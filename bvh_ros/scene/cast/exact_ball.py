@@ -166,14 +166,13 @@ FEW = 64  # boxes whose roots are computed one by one
 def in_exact_order(
     tree: OpenTree, columns: Columns, sweep: Sweep, found: Candidates
 ) -> Iterable[BoxHit]:
-    """The first obstacle that a ball meets from `origin` to `origin + direction`, or all in order,
-    ties by handle: slot, t, point and normal of each. `found` are all that it may meet first, or
-    at all.
+    """The first obstacle that a ray or ball meets from `origin` to `origin + direction`, or all in
+    order, ties by handle: slot, t, point and normal of each. `found` are all that it may meet
+    first, or at all.
     """
     world, ndim, origin = world_of(tree, columns), tree.ndim, sweep.origin
     segment = origin[:ndim], sweep.direction[:ndim]
-    sweep = sweep._replace(origin=segment[0], direction=segment[1])
-    slots, ts, features = _in_order(columns, found, sweep)
+    slots, ts, features = _in_order(columns, found, sweep, ndim)
     if sweep.skip_inside:
         outside = features != INSIDE
         slots, ts, features = slots[outside], ts[outside], features[outside]
@@ -184,15 +183,18 @@ def in_exact_order(
     return described(world, segment, sweep.radius, hits, origin)
 
 
-def _in_order(columns: Columns, found: Candidates, sweep: Sweep) -> Hits:
-    """The hits, in order of their exact times, then handles."""
+def _in_order(columns: Columns, found: Candidates, sweep: Sweep, ndim: int) -> Hits:
+    """The hits, in order of their times, then handles: exact times of a ball at boxes."""
     slots, times, features = found
     order = np.lexsort((columns.node_handle[slots], times[AT]))
+    if sweep.radius == 0.0:
+        return Hits(slots[order], times[AT][order], features[AT][order])
     slots, times, features = slots[order], times[:, order], features[:, order]
     ts, at_features = times[AT], features[AT]
     open_ones = np.flatnonzero(_undecided(times, features) & ~_shaped(columns)[slots])
     if not len(open_ones):
         return Hits(slots, ts, at_features)
+    sweep = Sweep(sweep.origin[:ndim], sweep.direction[:ndim], *sweep[2:])
     roots = _exact(columns, slots, times[EARLY], open_ones, sweep)
     order = _sorted(columns.node_handle[slots], ts, roots)
     for row, root in roots.items():

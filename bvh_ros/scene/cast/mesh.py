@@ -21,7 +21,7 @@ from ..distance.gjk import SLACK, dot
 from ..distance.narrow_phase import hull_gap
 from ..shapes.footprint import FACE, ROUND
 from ..shapes.hull import are_any, form_of, hull_of, surface_of, triangle_hull
-from ..shapes.mesh import CONVEX, SHELL, SOLID, farthest_vertex
+from ..shapes.mesh import CONVEX, SOLID, farthest_vertex
 from ..shapes.shape import ldexp, rotate
 from ..shapes.surface import (
     closest_between,
@@ -161,8 +161,6 @@ approach_hull = approach_by(measure_hull)
 @lean_kernel
 def enter_convex(hulls, shape, frame, pair, radius, t_max, work):
     """(t, feature) at which a ray, or a ball swept along it, enters a shape's convex mesh."""
-    if radius is None:
-        return enter_triangles(surface_of(hulls, shape), True, shape, pair, t_max)
     if radius == 0.0:
         return enter_triangles(surface_of(hulls, shape), True, shape, pair, t_max)
     reach = reach_of(t_max, frame.pace)
@@ -285,8 +283,6 @@ def approach_triangles(hulls, surface, is_solid, frame, radius, reach, work):
 def enter_any(hulls, shape, frame, pair, radius, t_max, work):
     """`enter_convex` of any mesh."""
     form = form_of(hulls, shape)
-    if radius is None:
-        return enter_triangles(surface_of(hulls, shape), form != SHELL, shape, pair, t_max)
     if form == CONVEX:
         return enter_convex(hulls, shape, frame, pair, radius, t_max, work)
     surface = surface_of(hulls, shape)

@@ -145,7 +145,7 @@ def visit_or_wait(caster, waiting, slot, found):
             pairs[found.waiting] = slot << 32 | place
             t = min(found.box.t, found.other.t, caster.query.t_max)
             return Found(found.box, found.other, found.waiting + 1), t
-    (box, other), t = visit_first(caster, 0, slot, (found.box, found.other))
+    (box, other), t = visit_first(caster, slot, (found.box, found.other))
     return Found(box, other, found.waiting), t
 
 
@@ -386,7 +386,7 @@ def cast_together(view, snapshot, shapes, node_handles, rays, place, room, hits)
                 fetch_hit(world, room, min(k + AHEAD, end - row - 1))
                 box, other = hit_at(room.boxes, k), hit_at(room.others, k)
                 hit = box if precedes(world, scratch.ray, box, other) else other
-                write_row(world, scratch, node_handles, None, hit, 1.0, row + k, hits)
+                write_row(world, scratch, node_handles, 0.0, hit, 1.0, row + k, hits)
         row = end
     end_query(tree.state)
     return row, np.int64(0), version

@@ -9,7 +9,7 @@ rays among axis-aligned boxes are decided by the tree, in the numbers as given: 
 Growth of an obstacle, see `store.places`, is added to the radius of the ball: that at the end of
 the path, so a hit is too early rather than too late.
 
-`walk_moving` leads through the nodes of the tree, as `query.walk_tree` at rest; `motion_batch` has
+`walk_moving` leads through the nodes of the tree, as `query.walk` at rest; `motion_batch` has
 the batches. The visitors are those of `query`, too: the first hit, and every hit.
 """
 

@@ -84,6 +84,7 @@ from ..shapes.shape import along_axes
 from ..store import EXACT, Obstacles, most_growth
 from .arguments import (
     SCRATCH,
+    THIN,
     Hits,
     Rays,
     code_for,
@@ -430,7 +431,7 @@ def first_hits(store: Obstacles, rays: Rays, times: Times, threads: int) -> Cast
     """First hits of n rays, or balls."""
     tree: Any = store.tree
     count, motion, view = len(rays.origins), tree.motion, tree.view()
-    boxes = rays.radii is None and not (store.columns.shaped or store.uncertainty)
+    boxes = rays.radii is THIN and not (store.columns.shaped or store.uncertainty)
     alike = type(times.at) is float
     if threads == 1 and boxes and alike and not store.planar:
         sweep = motion.few_sweep(count)
@@ -438,7 +439,7 @@ def first_hits(store: Obstacles, rays: Rays, times: Times, threads: int) -> Cast
             hits = _few_boxes(store, view.tree, sweep, rays, times)
             if hits is not None:
                 return hits
-    if store.planar or not (rays.radii is None or rays.to_goals):
+    if store.planar or not (rays.radii is THIN or rays.to_goals):
         refuse_infinite(rays)  # of others a kernel looks
     if store.uncertainty and np.isinf(rays.t_max).any():
         row = np.flatnonzero(np.isinf(rays.t_max))[0]
@@ -558,13 +559,13 @@ def _by_nodes(store: Obstacles, rays: Rays, times: Times, boxes: bool) -> RowHit
 
 def _timed(store: Obstacles, rays: Rays, at: Any, pace: Any, times: Times) -> TimedBalls:
     """The rays as kernels read them; at and pace as `split_times` has them."""
-    grown, radii = NOTHING, NOTHING if rays.radii is None else rays.radii
+    grown = NOTHING
     if store.uncertainty:
         begin, rate = np.atleast_1d(times.at), np.atleast_1d(times.pace)
         with np.errstate(over='ignore', invalid='ignore'):
             ends = np.where(rate > 0.0, begin + rate * rays.t_max, begin)
         grown = np.atleast_1d(most_growth(store, begin, ends))
-    parts = *rays[:4], radii, at, pace, grown, store.uncertainty, rays.skip_inside
+    parts = *rays[:5], at, pace, grown, store.uncertainty, rays.skip_inside
     return tuple.__new__(TimedBalls, parts)
 
 

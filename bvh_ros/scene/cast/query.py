@@ -2,9 +2,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """One ray, or one swept ball, among true shapes: which leaves it may meet, and which hits count.
 
-Two walks lead to the leaves, nearest first: `walk_tree` through the nodes of the tree, and
-`walk_snapshot` through the wide snapshot of batches. Each hands every leaf to a visitor, which
-says how far the walk has to go on:
+`walk` leads to the leaves, nearest first, through the wide snapshot of batches, or the nodes of
+the tree. It hands every leaf to a visitor, which says how far the walk has to go on. That is
+`visit`:
 
     visit_first      the first hit of a thin ray
     visit_every      all hits of a thin ray
@@ -27,7 +27,6 @@ from ...tree.access import (
     NONE,
     ORIGIN,
     STACK,
-    OpenTree,
     Stack,
     compare_hits,
     intersect_node,
@@ -44,34 +43,23 @@ from ...tree.access import (
     widen,
 )
 from ...tree.compiler import inlined, lean_kernel, stack_array
-from ..results import NO_NODE, require_few
+from ..results import NO_NODE
 from ..shapes.footprint import ROUND
 from ..shapes.shape import LARGE, SMALL, Floats
-from ..store import Columns
 from .arguments import (
     SCRATCH,
     BoxHit,
     CastWorld,
     Hits,
-    Sweep,
     call,
     clear_triangle,
     room_for_triangles,
     scratch_in,
     triangle_of,
-    world_of,
 )
 from .contact import contact, enter_shape
 from .footprint import enter_footprint, touch_footprint
-from .shapes import (
-    COORDINATES,
-    FRAME_SLACK,
-    RayAndBox,
-    enter_rounded_boxes,
-    point_along,
-    radius_of,
-    time_of,
-)
+from .shapes import COORDINATES, FRAME_SLACK, RayAndBox, enter_rounded_boxes, point_along, time_of
 
 EARLY, AT, LATE = range(3)  # rows: of a ball that is larger, of itself, of a smaller one
 SWEEP_SLACK = 2.0**-46
@@ -111,7 +99,7 @@ class Hit(NamedTuple):
 
 
 class Candidates(NamedTuple):
-    """Room for the obstacles that a ball may touch."""
+    """Room for the obstacles that a ball may touch, or a thin ray meets."""
 
     slots: Any
     """(n,)"""
@@ -147,9 +135,7 @@ def is_plain_box(geometry, footprints, slot):
 
 @inlined
 def enter_obstacle(world, slot, ray, radius, t_max, work):
-    """(t, feature) at which a ray, or a ball swept along it, meets an obstacle; t inf if never.
-    The radius of a ray is None.
-    """
+    """(t, feature) at which a ray, radius 0, or a ball meets an obstacle; t inf if never."""
     lo, hi = leaf_box(world.nodes, world.tight, 2 * slot)
     pair = RayAndBox(ray, lo, hi)
     return enter_any(world.geometry, world.footprints, slot, pair, radius, t_max, work)
@@ -161,8 +147,7 @@ def enter_any(geometry, footprints, slot, pair, radius, t_max, work):
     if geometry is not None:
         t, feature = enter_shape(geometry[0][slot], geometry[1], pair, radius, t_max, work)
     if footprints is not None:
-        ball = radius_of(radius)
-        t, feature = enter_footprint(footprints[0][slot], footprints[1], pair, ball, t_max, work)
+        t, feature = enter_footprint(footprints[0][slot], footprints[1], pair, radius, t_max, work)
     return t, feature
 
 
@@ -183,8 +168,7 @@ def touch_any(geometry, footprints, slot, pair, hit, radius, work, out, triangle
     if geometry is not None:
         contact(geometry[0][slot], geometry[1], pair, hit, radius, work, point, normal, triangle)
     if footprints is not None:
-        ball = radius_of(radius)
-        touch_footprint(footprints[0][slot], footprints[1], pair, hit, ball, work, point, normal)
+        touch_footprint(footprints[0][slot], footprints[1], pair, hit, radius, work, point, normal)
 
 
 @inlined
@@ -257,14 +241,14 @@ def precedes(world, ray, hit, other):
     return order < 0 or (order == 0 and world.handles[hit.slot] < world.handles[other.slot])
 
 
-# ---- visitors: (the hits so far, the t up to which the walk goes on) after one more leaf
+# ---- visitors: (what is found so far, the t up to which the walk goes on) after one more leaf
 
 
 @inlined
-def visit_first(caster, room, slot, first):
+def visit_first(caster, slot, first):
     """The first hits of a thin ray, as of `no_hits`."""
     (world, query, scratch), (box, other) = caster, first
-    t, feature = enter_obstacle(world, slot, scratch.ray, None, query.t_max, scratch.work)
+    t, feature = enter_obstacle(world, slot, scratch.ray, 0.0, query.t_max, scratch.work)
     if t < np.inf and not (query.skip_inside and feature == INSIDE):
         hit = Hit(slot, t, np.int64(feature))
         if is_plain_box(world.geometry, world.footprints, slot):
@@ -274,17 +258,18 @@ def visit_first(caster, room, slot, first):
     return (box, other), min(box.t, other.t, query.t_max)
 
 
-@inlined
+@lean_kernel
 def visit_every(caster, room, slot, count):
-    """How many hits of a thin ray there are; those that `room`, `Hits`, has place for are written
-    there, in no order.
+    """How many hits of a thin ray there are; those that fit are in the rows AT of `room`, in no
+    order.
     """
     world, query, scratch = caster
-    t, feature = enter_obstacle(world, slot, scratch.ray, None, query.t_max, scratch.work)
+    t, feature = enter_obstacle(world, slot, scratch.ray, 0.0, query.t_max, scratch.work)
     if t < np.inf and not (query.skip_inside and feature == INSIDE):
-        write(Hit(slot, t, np.int64(feature)), room, count)
+        hits = Hits(room.slots, room.times[AT], room.features[AT])
+        write(Hit(slot, t, np.int64(feature)), hits, count)
         count += 1
-    return count, query.t_max
+    return count
 
 
 @inlined
@@ -294,41 +279,60 @@ def write(hit, hits, place):
         hits.slots[place], hits.ts[place], hits.features[place] = hit
 
 
-class Reached(NamedTuple):
-    """The candidates of a ball so far."""
+class Found(NamedTuple):
+    """What a ray or ball has met so far."""
 
+    first: Any
+    """Of a thin ray, as of `no_hits`."""
     count: Any
+    """How many `Candidates` there are, which may be more than fit."""
     soonest: Any
-    """When the larger ball touches the first of them."""
+    """When a larger ball touches the first of them."""
     latest: Any
-    """By then the ball has surely touched one."""
+    """By then the ball has surely touched one, or the ray ends."""
     path: Any
+    """Of the ball."""
 
 
 @inlined
-def visit_candidate(caster, room, slot, reached):
-    """The `Reached` of a ball; `room` are `Candidates`."""
-    (world, query, scratch), (count, soonest, latest, path) = caster, reached
+def visit_candidate(caster, room, slot, found):
+    """What a ball has met: `room` is filled in."""
+    (world, query, scratch), (first, count, soonest, latest, path) = caster, found
     if path.pace < 0.0:  # many balls meet no leaf
         path = ball_path(world, scratch.ray, query.radius, path.unit)
     ts, features = stack_array(3, np.float64), stack_array(3, np.int64)
-    is_repeated = False
+    enter_thrice(world, slot, scratch.ray, path, query, scratch.work, (ts, features))
+    if ts[EARLY] <= latest:
+        if count < room.slots.shape[0]:
+            room.slots[count] = slot
+            for i in range(3):
+                room.times[i, count], room.features[i, count] = ts[i], features[i]
+        count += 1
+        inside = query.skip_inside and features[EARLY] == INSIDE
+        if not query.every and ts[EARLY] < soonest and not inside:
+            soonest = ts[EARLY]
+            latest = min(ts[LATE] * (1.0 + SWEEP_SLACK) + MINUTE, latest)
+    return Found(first, count, soonest, latest, path)
+
+
+@inlined
+def visit(caster, room, slot, found):
+    """The `Found` of any query; `room` are `Candidates`. A patched snapshot may hold an obstacle
+    twice, which matters where they are counted.
+    """
+    query, (first, count, soonest, latest, path) = caster.query, found
+    if query.radius == 0.0 and not query.every:
+        first, t = visit_first(caster, slot, first)
+        return Found(first, count, soonest, latest, path), t
     if query.patched:
         for j in range(min(count, room.slots.shape[0])):
-            is_repeated |= room.slots[j] == slot
-    if not is_repeated:
-        enter_thrice(world, slot, scratch.ray, path, query, scratch.work, (ts, features))
-        if ts[EARLY] <= latest:
-            if count < room.slots.shape[0]:
-                room.slots[count] = slot
-                for i in range(3):
-                    room.times[i, count], room.features[i, count] = ts[i], features[i]
-            count += 1
-            inside = query.skip_inside and features[EARLY] == INSIDE
-            if not query.every and ts[EARLY] < soonest and not inside:
-                soonest = ts[EARLY]
-                latest = min(ts[LATE] * (1.0 + SWEEP_SLACK) + MINUTE, latest)
-    return Reached(count, soonest, latest, path), latest
+            if room.slots[j] == slot:
+                return found, latest
+    if query.radius == 0.0:
+        count = visit_every(caster, room, slot, count)
+        return Found(first, count, soonest, latest, path), latest
+    found = visit_candidate(caster, room, slot, found)
+    return found, found.latest
 
 
 # ---- walks
@@ -404,82 +408,80 @@ def walk_nodes(nodes, root, path, scale, t_max, enter, caster, room, found, visi
 
 
 @inlined
-def walk_tree(caster, room, found, visit):
-    """`walk_nodes` of a ray or ball at rest."""
-    (world, query, scratch), scale, wide = caster, np.int64(0), False
-    nodes, root, bounds, reach = world.nodes, world.root, scratch.box, reach_of(query, scratch.ray)
-    if root != NONE:
-        grow(nodes[root], reach, bounds)
-        scale, wide = prepare_ray(scratch.ray, bounds[0], bounds[1])
-    path = GrownPath(scratch.ray, bounds, query.mask, wide, reach)
-    return walk_nodes(
-        nodes, root, path, scale, query.t_max, enter_grown, caster, room, found, visit
-    )
-
-
-@inlined
-def walk_snapshot(caster, snapshot, segment, room, found, visit):
-    """`walk_tree` through the snapshot, segment = (origin, direction): (what the visitor found,
-    whether the ray is suited to the snapshot).
+def walk(caster, snapshot, segment, room, found, visit):
+    """`walk_nodes` of a ray or ball at rest, segment = (origin, direction), or this through the
+    snapshot, if there is one that the ray is suited to. It is one loop for both, since the
+    compiler copies the visitor, and with it all shapes, to where it is called.
     """
     (world, query, scratch), (origin, direction) = caster, segment
-    records, stack = stack_array(1, snapshot.record), stack_array(STACK, np.int64)
-    record, place = records[0], stack_array(1, np.int32)
-    reach, top = reach_of(query, scratch.ray) * snapshot.per_length, 0
-    units = snapshot.center, snapshot.per_length
-    suited = start_ray(record, origin, direction, *units, query.t_max) and reach < FARTHEST_ORIGIN
-    place[0] = 0
+    nodes, root, reach = world.nodes, world.root, reach_of(query, scratch.ray)
+    records, place = stack_array(1, snapshot.record), stack_array(1, np.int32)
+    entries, record = stack_array(STACK, np.int64), records[0]
+    stack = Stack(stack_array(DEEPEST, np.int64), stack_array(DEEPEST, np.float64))
+    scale, wide, limit, top = np.int64(0), False, np.inf, 0
+    suited = snapshot.size > 0
     if suited:
-        widen(record, reach)
-        stack[0] = 0
-        top = push_loose(snapshot, stack, 1)
+        units, grown = (snapshot.center, snapshot.per_length), reach * snapshot.per_length
+        suited = start_ray(record, origin, direction, *units, query.t_max)
+        suited = suited and grown < FARTHEST_ORIGIN
+        widen(record, grown)
+    if not suited and root != NONE:
+        grow(nodes[root], reach, scratch.box)
+        scale, wide = prepare_ray(scratch.ray, scratch.box[0], scratch.box[1])
+        limit = traversal_distance(query.t_max, scale)
+    path = GrownPath(scratch.ray, scratch.box, query.mask, wide, reach)
+    place[0], entries[0] = 0, 0
+    if suited:
+        top = push_loose(snapshot, entries, 1)
+    else:
+        top = push_root(nodes, root, path, limit, stack, enter_grown)
     while top > 0:
-        slot, top = next_wide_leaf(snapshot, records, place, query.mask, stack, top)
-        # What was written since is removed, or has another mask now.
-        if slot == NONE or (snapshot.loose > 0 and world.nodes[2 * slot].mask & query.mask == 0):
-            continue
-        found, t = visit(caster, room, slot, found)
-        record.limit = limit32(t, record.unit)
-    return found, suited
-
-
-@inlined
-def walk(caster, snapshot, segment, room, nothing, visit):
-    """What a visitor finds for a ray, by the snapshot if the ray is suited to it. `snapshot`: None
-    if there never is one.
-    """
-    if snapshot is None:
-        return walk_tree(caster, room, nothing, visit)
-    if snapshot.size > 0:
-        found, suited = walk_snapshot(caster, snapshot, segment, room, nothing, visit)
         if suited:
-            return found
-    return walk_tree(caster, room, nothing, visit)
+            slot, top = next_wide_leaf(snapshot, records, place, query.mask, entries, top)
+            # What was written since is removed, or has another mask now.
+            if snapshot.loose > 0 and slot != NONE and nodes[2 * slot].mask & query.mask == 0:
+                continue
+        else:
+            leaf, top = next_leaf(nodes, path, limit, stack, top, enter_grown)
+            slot = leaf >> 1  # NONE of NONE
+        if slot == NONE:
+            break
+        found, t = visit(caster, room, np.int64(slot), found)
+        if suited:
+            record.limit = limit32(t, record.unit)
+        else:
+            limit = traversal_distance(t, scale)
+    return found
 
 
 # ---- the answers of one ray
 
 
 @inlined
-def first_hit(caster, snapshot, segment):
-    """The first `Hit` of a thin ray."""
-    box, other = walk(caster, snapshot, segment, 0, no_hits(), visit_first)
-    return box if precedes(caster.world, caster.scratch.ray, box, other) else other
+def find(caster, snapshot, segment, room):
+    """The `Found` of a query."""
+    path = BallPath(stack_array(3, np.float64), -1.0, False)
+    nothing = Found(no_hits(), np.int64(0), np.inf, caster.query.t_max, path)
+    return walk(caster, snapshot, segment, room, nothing, visit)
 
 
 @inlined
-def candidates(caster, snapshot, segment, room):
-    """Fill `room` with the obstacles that a ball may touch first, or at all if the query is for
-    every hit; return how many there are, which may be more than fit.
+def first_of(caster, found):
+    """The first `Hit` of a thin ray."""
+    box, other = found.first
+    return box if precedes(caster.world, caster.scratch.ray, box, other) else other
+
+
+@lean_kernel
+def drop_late(room, found):
+    """Keep the candidates that a ball may touch before it surely touches one; return how many,
+    which may be more than fit.
     """
-    unit = stack_array(3, np.float64)
-    nothing = Reached(np.int64(0), np.inf, 1.0, BallPath(unit, -1.0, False))
-    reached = walk(caster, snapshot, segment, room, nothing, visit_candidate)
-    if reached.count > room.slots.shape[0]:
-        return reached.count
+    if found.count > room.slots.shape[0]:
+        return found.count
     count = np.int64(0)
-    for j in range(reached.count):
-        if room.times[EARLY, j] <= reached.latest:
+    for j in range(found.count):
+        if room.times[EARLY, j] <= found.latest:
             room.slots[count] = room.slots[j]
             for i in range(3):
                 room.times[i, count] = room.times[i, j]
@@ -573,17 +575,7 @@ def write_row(world, scratch, node_handles, radius, hit, length, row, hits):
         hits.handles[row], hits.t[row] = node_handles[hit.slot], hit.t * length
 
 
-# ---- all hits of one ray
-
-
-@lean_kernel
-def every_hit(world, segment, query, hits):
-    """Write all hits of a thin ray, segment = (origin, direction), to `Hits`, in no order; return
-    how many there are, which may be more than fit.
-    """
-    scratch = scratch_in(stack_array(SCRATCH, np.float64), segment[0].shape[0])
-    set_ray(scratch.ray, *segment)
-    return walk_tree(Caster(world, query, scratch), hits, np.int64(0), visit_every)
+# ---- where hits are
 
 
 @lean_kernel
@@ -597,25 +589,6 @@ def touch_rows(world, segment, radius, hits, points, normals, triangles):
         hit = Hit(hits.slots[j], hits.ts[j], hits.features[j])
         triangle = triangle_of(triangles, j)
         touch(world, scratch, radius, hit, points[j], normals[j], triangle)
-
-
-def cast_every(
-    tree: OpenTree, columns: Columns, sweep: Sweep, most: int | None = None
-) -> Iterable[BoxHit]:
-    """All hits of a thin ray, nearest first, ties by handle; TooManyHitsError if there are more
-    than `most`.
-    """
-    world, count, room = world_of(tree, columns), 16, 0
-    segment = sweep.origin[: tree.ndim], sweep.direction[: tree.ndim]
-    query = Query(0.0, 0.0, 1.0, sweep.mask, sweep.skip_inside, True, False)
-    while count > room:
-        room = count
-        hits = Hits(np.empty(room, np.int64), np.empty(room), np.empty(room, np.int64))
-        count = call(every_hit, world, segment, query, hits)
-    require_few(count, most)
-    order = np.lexsort((columns.node_handle[hits.slots[:count]], hits.ts[:count]))
-    hits = Hits(*(column[order] for column in hits))
-    return described(world, segment, 0.0, hits, sweep.origin)
 
 
 def described(

@@ -32,10 +32,9 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import types
 
 from ...tree.access import DIRECTION, INSIDE, LARGEST
-from ...tree.compiler import chosen_by_types, inlined, lean_kernel, stack_array
+from ...tree.compiler import inlined, lean_kernel, stack_array
 from ..shapes.footprint import ROUND
 from ..shapes.shape import hypot, length, scale_of
 
@@ -60,41 +59,6 @@ def time_of(s, pace, t_max):
     if not 0.0 < s < np.inf:
         return s
     return min(s / pace, t_max, LARGEST)
-
-
-# The radius of a ball is None for a thin ray: then nothing of balls is compiled.
-
-
-@chosen_by_types
-def radius_of(ball):
-    """A radius as a number."""
-    return _zero if isinstance(ball, types.NoneType) else _number
-
-
-@inlined
-def _zero(ball):
-    return 0.0
-
-
-@inlined
-def _number(ball):
-    return ball
-
-
-@chosen_by_types
-def only_with(ball, value):
-    """What only balls need; None for a thin ray."""
-    return _nothing if isinstance(ball, types.NoneType) else _value
-
-
-@inlined
-def _nothing(ball, value):
-    return None
-
-
-@inlined
-def _value(ball, value):
-    return value
 
 
 class RayAndBox(NamedTuple):

@@ -22,10 +22,10 @@ import json
 import numba
 import numpy as np
 from bvh_ros import DynamicBVH
-from bvh_ros.scene.cast.shapes import radius_of
+from bvh_ros.scene.cast.arguments import triangles_in
 from bvh_ros.tree import checks
 
-chosen = numba.njit(lambda ball: radius_of(ball))
+chosen = numba.njit(lambda solid, rows: triangles_in((solid, None), rows) is None)
 random = np.random.default_rng(0)
 tree = DynamicBVH(2)
 for corner in random.uniform(0, 100, (60, 2)):
@@ -38,7 +38,7 @@ print(json.dumps([
     [array.tolist() for array in hits],
     tree.overlap([10, 10], [40, 40]).tolist(),
     tree.cost(),
-    [chosen(None), chosen(2.5)],
+    [chosen(None, 1), chosen((1, 2), 1)],
 ]))
 """
 HIDING = """
