@@ -171,10 +171,10 @@ def _distances_of_meshes(needs: Needs) -> None:
 
 
 def _rays(needs: Needs) -> None:
+    """Balls, and thin rays at shapes, which the same kernel answers."""
     for scene in scenes(needs):
-        for radius in (0.0, RADIUS):
-            scene.raycast(START, GOAL, radius)
-            scene.raycast_all(START, GOAL, radius)
+        scene.raycast(START, GOAL, RADIUS)
+        scene.raycast_all(START, GOAL, RADIUS)
 
 
 def _overlaps(needs: Needs) -> None:
@@ -194,6 +194,7 @@ def _hits(needs: Needs) -> None:
 
 
 def _batches_of_rays(needs: Needs) -> None:
+    """Rays at shapes, and all balls."""
     store, row = _no_shapes(needs), np.zeros((1, 3))
     rays = Rays(row, row, np.ones(1), np.ones(1, np.uint32), THIN, False, False, False)
     first_hits(store.tree, store.columns, rays)
@@ -263,7 +264,7 @@ def paths_then(needs: Needs) -> None:
 FEW = 128  # rays that go through the snapshot one by one, where there is one
 
 # Queries that are compiled on first use.
-NEAREST, BALLS, POINTS = 'nearest', 'batches of balls', 'batches of points'
+NEAREST, POINTS = 'nearest', 'batches of points'
 BOXES_ASKED, CLEARANCES = 'batches of boxes', 'distances of shapes'
 NEAREST_THEN, PATHS_THEN = 'nearest at other times', 'paths at other times'
 SWEEPS = 'sweeps of shapes'
@@ -298,7 +299,6 @@ def later_jobs(needs: Needs) -> list[Job]:
     """Return the jobs of queries that are compiled on first use."""
     calls: list[Call] = [
         (True, NEAREST, 8.0, _nearest),
-        (needs.batch, BALLS, 12.0, _many_balls),
         (needs.batch, BOXES_ASKED, 20.0, _boxes_asked),
         (needs.batch, POINTS, 10.0, _points),
         (needs.batch, CLEARANCES, 20.0, _paths),
@@ -340,11 +340,6 @@ def _tells_apart(needs: Needs) -> tuple[int, ...]:
 def _nearest(needs: Needs) -> None:
     for scene in scenes(needs):
         scene.nearest(START, 2)
-
-
-def _many_balls(needs: Needs) -> None:
-    for scene in scenes(needs):
-        scene.sweep_many([START], [GOAL], RADIUS)
 
 
 def _boxes_asked(needs: Needs) -> None:

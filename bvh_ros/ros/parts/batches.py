@@ -18,7 +18,7 @@ from sensor_msgs.msg import PointCloud2
 
 from bvh_ros.ros.cdr import point_cloud2 as decoder
 from bvh_ros.ros.cdr.point_cloud2 import PointCloud
-from bvh_ros.ros.compile_jobs import BALLS, BOXES_ASKED, NEAREST_THEN, PATHS_THEN, POINTS
+from bvh_ros.ros.compile_jobs import BOXES_ASKED, NEAREST_THEN, PATHS_THEN, POINTS
 from bvh_ros.ros.conversions import paths, rotations
 from bvh_ros.ros.conversions.paths import PathPoses, Poses
 from bvh_ros.ros.conversions.query_clouds import (
@@ -448,10 +448,6 @@ class RayBatch(Batch):
     ) -> None:
         super().__init__(node, world, view, kernels)
         self._drawing = drawing
-
-    def _load(self, questions: Any) -> Iterator[None]:
-        if questions.has_radii and not questions.has_times:
-            yield from self._kernels.load(BALLS)
 
     def _draw(self, questions: Rays, answers: Hits) -> None:
         if self._drawing.is_watched:

@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 
 from bvh_msgs.srv import Clearance, Nearest, Overlap, Raycast, Sweep
 from bvh_ros.ros.compile_jobs import (
-    BALLS,
     BOXES_ASKED,
     CLEARANCES,
     NEAREST_THEN,
@@ -172,11 +171,8 @@ class Question(NamedTuple):
     kernels: Sequence[str] = ()
     timed: Sequence[str] = ()
 
-    def needs(self, request: Any, is_timed: bool) -> Sequence[str]:
+    def needs(self, is_timed: bool) -> Sequence[str]:
         """Names of what a request needs compiled."""
-        if self.kind is Raycast:
-            balls = len(request.radii) and not is_timed and not request.all_hits
-            return [BALLS] if balls else []
         return [*self.kernels, *(self.timed if is_timed else ())]
 
 
@@ -275,7 +271,7 @@ class TypedServices(Answerer):
                 'history'
             )
         begin = stamp or self.now()
-        needs = question.needs(request, rows.since is not None)
+        needs = question.needs(rows.since is not None)
         for name in needs:
             yield from self._kernels.load(name)
         statuses = np.full(count, STATUS.OK, np.uint8)
@@ -309,8 +305,10 @@ class TypedServices(Answerer):
 
         rays = count if isinstance(rows, Rays) else 0
         yield from prepare(self, world, rays, partial(spans_of, rows))
-        every = isinstance(request, Raycast.Request) and request.all_hits
-        kind = question.kind, *needs, rows.since is not None, every
+        costs: tuple[bool, ...] = (rows.since is not None,)
+        if isinstance(request, Raycast.Request):
+            costs = *costs, len(request.radii) > 0, request.all_hits
+        kind = question.kind, *needs, *costs
         yield from self._pace.answer(kind, count, answer)
         if not count:  # an incomplete world is no answer even to nothing
             world.at(self.now())
