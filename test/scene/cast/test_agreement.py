@@ -128,6 +128,8 @@ def check(scene: Scene, world: World, rng: np.random.Generator, count: int) -> i
             every = scene.raycast_all(*asked, **times)
             assert [h.t for h in every] == sorted(h.t for h in every)
             assert (hit is None) == (not every)
+            if one == 0.0:  # of a ball, it counts what it may touch
+                assert len(scene.raycast_all(*asked, len(every), **times)) == len(every)
             if hit is not None:
                 assert (hit.handle, hit.t) == (every[0].handle, every[0].t)
                 assert hit.point.tolist() == every[0].point.tolist()
