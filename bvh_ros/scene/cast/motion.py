@@ -143,6 +143,26 @@ class EveryHit(NamedTuple):
     """EXACT_BOX, GOING or STOPPED."""
 
 
+def room_for_every(count: int) -> EveryHit:
+    """Room for so many hits."""
+    numbers = np.empty((3, count), np.int64)
+    return EveryHit(numbers[0], np.empty(count), numbers[1], numbers[2])
+
+
+NO_ROOM = room_for_every(0)  # where only the first hits are wanted
+
+
+def room_for_rows(count: int, shapes: tuple[Any, Any]) -> RowHits:
+    """Room for the first hits of so many rows."""
+    parts = np.empty(count, np.int64), np.empty(count, np.uint32), np.empty(count)
+    places = np.empty((count, 3)), np.empty((count, 3))
+    # As RowHits(...), which would take one more call of a function of Python's.
+    return tuple.__new__(RowHits, (*parts, *places, room_for_triangles(shapes, count)))
+
+
+NO_ROWS = room_for_rows(0, BOXES_ONLY)  # where all hits of one ray are wanted
+
+
 class Contact(NamedTuple):
     """How a ray or ball meets an obstacle."""
 
@@ -288,7 +308,18 @@ def add_hit(caster, room, slot, count):
     if contact.hit and count < room.slots.shape[0]:
         room.slots[count], room.ts[count] = slot, contact.t
         room.features[count], room.kinds[count] = contact.feature, contact.kind
-    return count + contact.hit, of_row(caster.cast.rays.t_max, caster.row)
+    return count + contact.hit
+
+
+@inlined
+def visit(caster, room, slot, found):
+    """(`FirstHits`, how many hits there are): all are counted if there is room for one."""
+    first, count = found
+    if room.slots.shape[0] == 0:
+        first, t = update_first_hit(caster, room, slot, first)
+        return (first, count), t
+    count = add_hit(caster, room, slot, count)
+    return (first, count), of_row(caster.cast.rays.t_max, caster.row)
 
 
 # ---- the walk
@@ -305,8 +336,8 @@ def reach_of(rays, i):
 
 
 @inlined
-def walk_moving(caster, room, found, visit):
-    """`walk_nodes` of a ray or ball at a time."""
+def walk_moving(caster, room):
+    """`walk_nodes` of a ray or ball at a time: what `visit` finds."""
     cast, i, course = caster
     rays, moving, fronts = cast.rays, cast.moving, stack_array(FRONTS, np.float64)
     corners, more = stack_array((2, 3), np.float64), reach_of(rays, i)
@@ -316,8 +347,9 @@ def walk_moving(caster, room, found, visit):
     set_fronts(fronts, moving, corners[0], corners[1], rays.directions[i])
     t_max = of_row(rays.t_max, i)
     path = path_at(cast.tree, moving, course, t_max, of_row(rays.masks, i), fronts)
+    root, nothing = cast.world.root, (no_first_hits(), np.int64(0))
     return walk_nodes(
-        moving.nodes, cast.world.root, path, 0, t_max, enter_bounds, caster, room, found, visit
+        moving.nodes, root, path, 0, t_max, enter_bounds, caster, room, nothing, visit
     )
 
 
@@ -384,9 +416,11 @@ def _touch_moving(cast, i, hit, stopped, point, normal, triangle):
 
 
 @lean_kernel
-def first_rows(shapes, tree, moving, rays, node_handles, hits):
-    """Write the first hit of each of the `TimedBalls` to `RowHits`; shapes as of `Columns.shapes`,
-    or BOXES_ONLY. Returns 0, OUTSIDE or REFUSED.
+def cast_rows_at(shapes, tree, moving, rays, node_handles, room, hits):
+    """Write the first hit of each of the `TimedBalls` to `RowHits`; or, if `room`, an `EveryHit`,
+    has rows, all hits of the only one there, in no order. Shapes as of `Columns.shapes`, or
+    BOXES_ONLY. Returns how many hits there are of the last row, which may be more than fit, or
+    OUTSIDE or REFUSED.
     """
     count = rays.origins.shape[0]
     why = begin_asking(tree, moving, moments_of(rays.pace, count))
@@ -400,9 +434,9 @@ def first_rows(shapes, tree, moving, rays, node_handles, hits):
         if covers(moving, course.at, course.pace, of_row(rays.t_max, i)) == 0:
             why = np.int64(OUTSIDE)
             break
-        caster = CasterAt(cast, i, course)
-        first = walk_moving(caster, 0, no_first_hits(), update_first_hit)
-        write_first_hit(cast, i, course, first, hits)
+        first, why = walk_moving(CasterAt(cast, i, course), room)
+        if room.slots.shape[0] == 0:
+            write_first_hit(cast, i, course, first, hits)
     end_query(tree.state)
     return why
 
@@ -425,7 +459,7 @@ def first_box(tree, moving, start, goal, mask, skip_inside, when, place):
 
 @lean_kernel
 def first_segment(tree, moving, shapes, ends, ball, when, node_handles, place):
-    """`first_rows` of one row, ends = (start, goal), ball = (radius, mask, skip_inside, rate,
+    """`cast_rows_at` of one row, ends = (start, goal), ball = (radius, mask, skip_inside, rate,
     grown), when = (at, pace): as `first_box`.
     """
     (start, goal), (radius, mask, skip_inside, rate, grown) = ends, ball
@@ -442,26 +476,9 @@ def first_segment(tree, moving, shapes, ends, ball, when, node_handles, place):
     slots, ts = stack_array(1, np.int64), stack_array(1, np.float64)
     triangles = triangles_in(shapes, place[2:])
     hits = RowHits(slots, stack_array(1, np.uint32), ts, place[:1], place[1:2], triangles)
-    why = first_rows(shapes, tree, moving, rays, node_handles, hits)
+    none = EveryHit(slots[:0], ts[:0], slots[:0], slots[:0])
+    why = cast_rows_at(shapes, tree, moving, rays, node_handles, none, hits)
     return (slots[0] if why == 0 else why), ts[0]
-
-
-@lean_kernel
-def every_hit_at(shapes, tree, moving, rays, node_handles, hits):
-    """Write all hits of one of the `TimedBalls` to an `EveryHit`, in no order; return how many
-    there are, which may be more than fit; or OUTSIDE or REFUSED.
-    """
-    why = begin_asking(tree, moving, moments_of(rays.pace, 1))
-    if why != 0:
-        return why
-    scratch = scratch_in(stack_array(SCRATCH, np.float64), rays.origins.shape[1])
-    cast = cast_of(shapes, tree, moving, rays, node_handles, scratch)
-    course = course_of_row(rays, 0, moving, stack_array((RAY_ROWS, 3), np.float64))
-    count = np.int64(OUTSIDE)
-    if covers(moving, course.at, course.pace, rays.t_max[0]) != 0:
-        count = walk_moving(CasterAt(cast, 0, course), hits, np.int64(0), add_hit)
-    end_query(tree.state)
-    return count
 
 
 @lean_kernel
@@ -539,13 +556,13 @@ def cast_every(
     rays, begun, room, count = TimedBalls(*segment, *parts), tree.view(), 0, 16
 
     def ask(arrays: Any, moving: Any) -> Any:
-        given = shapes, arrays, moving, rays, columns.node_handle, hits
-        return code_for(every_hit_at, shapes, given)(*given)
+        given = shapes, arrays, moving, rays, columns.node_handle, hits, unused
+        return code_for(cast_rows_at, shapes, given, ndim)(*given)
 
+    unused = NO_ROWS if columns.rows_of_hit == 2 else room_for_rows(0, shapes)
     while count > room:
         room = count
-        numbers = np.empty((3, room), np.int64)
-        hits = EveryHit(numbers[0], np.empty(room), numbers[1], numbers[2])
+        hits = room_for_every(room)
         span = span_of(*when, 1.0), True
         count = motion.ask(tree, lambda span=span: span, ask, when[1] == 0.0)
     require_few(count, most)

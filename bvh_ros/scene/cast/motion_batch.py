@@ -4,7 +4,7 @@
 
 Where it pays, rays go through a snapshot that is swept for their span of time
 (`tree.motion.sweep`): in streams. Rays that the sweep does not serve go through the nodes of
-the tree, one by one (`motion.first_rows`). There are two kernels for the streams: `stream_rays`
+the tree, one by one (`motion.cast_rows_at`). There are two kernels for the streams: `stream_rays`
 decides as `motion.meet_obstacle`; thin rays among axis-aligned boxes are the tree's own
 (`stream_boxes`), and are described here.
 """
@@ -23,7 +23,6 @@ from ...tree.access import (
     FARTHEST_ORIGIN,
     FOUND,
     INSIDE,
-    INT64,
     LOOSE_NODES,
     MIXED,
     NONE,
@@ -90,21 +89,22 @@ from .arguments import (
     code_for,
     fill_directions,
     refuse_infinite,
-    room_for_triangles,
     scratch_in,
 )
 from .batch import RowHits
 from .motion import (
     BOXES_ONLY,
+    NO_ROOM,
     Cast,
     CasterAt,
     FirstHits,
     TimedBalls,
     cast_of,
+    cast_rows_at,
     course_of_row,
     fetch,
-    first_rows,
     reach_of,
+    room_for_rows,
     update_first_hit,
     write_first_hit,
 )
@@ -208,7 +208,7 @@ def lists_for(depth: int) -> NDArray[np.int32]:
 
 @lean_kernel
 def stream_rays(shapes, tree, sweep, rays, when, goals, node_handles, lists, hits):
-    """`motion.first_rows` through a `Sweep`: rays that it does not serve become UNSUITED. Returns
+    """`motion.cast_rows_at` through a `Sweep`; rays that it does not serve are UNSUITED. Returns
     how many; 1 if one is not finite; REFUSED if the tree is not what was swept. lists as of
     `lists_for`; when = (at, pace) of all if the rays have no times. With `goals`, (n, 3), the
     directions are the goals of the rays; the kernel writes the directions there.
@@ -486,11 +486,7 @@ def _some_hits(
         refuse_infinite(given)
         hits = _by_nodes(store, rays, times, boxes)
     else:
-        parts = np.empty(count, INT64), np.empty(count, UINT32), np.empty(count)
-        # As RowHits(...), which would take one more call of a function of Python's.
-        places = np.empty((count, 3)), np.empty((count, 3))
-        triangles = None if boxes else room_for_triangles(store.columns.shapes, count)
-        hits = tuple.__new__(RowHits, (*parts, *places, triangles))
+        hits = room_for_rows(count, BOXES_ONLY if boxes else store.columns.shapes)
         stream = _stream_boxes if boxes else _stream_shapes
         if accepted(stream(store, view.tree, sweep, rays, times, hits)):
             refuse_infinite(given)
@@ -541,16 +537,14 @@ def _by_nodes(store: Obstacles, rays: Rays, times: Times, boxes: bool) -> RowHit
     at, pace = np.atleast_1d(times.at), np.atleast_1d(times.pace)
     if rays.to_goals:
         rays = rays._replace(directions=rays.directions - rays.origins)
-    parts = np.empty(count, INT64), np.empty(count, UINT32), np.empty(count)
     shapes = BOXES_ONLY if boxes else store.columns.shapes
-    places = np.empty((count, 3)), np.empty((count, 3))
-    hits = RowHits(*parts, *places, room_for_triangles(shapes, count))
+    hits = room_for_rows(count, shapes)
     handles = store.columns.node_handle
     query = _timed(store, rays, at, pace, times)
 
     def ask(arrays: Any, moving: Any) -> Any:
-        given = shapes, arrays, moving, query, handles, hits
-        return code_for(first_rows, shapes, given, store.tree.ndim)(*given)
+        given = shapes, arrays, moving, query, handles, NO_ROOM, hits
+        return code_for(cast_rows_at, shapes, given, store.tree.ndim)(*given)
 
     spans = functools.partial(times_of, at, pace, rays.t_max)
     motion.ask(store.tree, spans, ask, not pace.any())  # type: ignore[union-attr]
