@@ -18,15 +18,18 @@ the other answer can be missed or hit wrongly. A ball smaller by the slack of
         early         t          late               after `late` it surely was
 
 Two boxes whose brackets do not meet are in order. What the brackets leave open, exact arithmetic
-decides. Other shapes have their t as computed.
+decides. A thin ray meets boxes at the t of the tree, within THIN_SLACK of the exact one; what is
+closer, exact arithmetic decides as well. Other shapes have their t as computed: by it, and by
+their handles, they are put between the boxes.
 """
 
 from collections.abc import Iterable, Sequence
 from fractions import Fraction
 from functools import cmp_to_key
+from heapq import merge
 from itertools import pairwise
 from math import isqrt
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -160,6 +163,7 @@ def _square_root(x: Fraction) -> Fraction:
 # ---- balls among boxes: brackets of the times, and what exact arithmetic decides
 
 
+THIN_SLACK = 2.0**-50  # 4 ulp: a t is within 2 of the exact one
 FEW = 64  # boxes whose roots are computed one by one
 
 
@@ -184,23 +188,46 @@ def in_exact_order(
 
 
 def _in_order(columns: Columns, found: Candidates, sweep: Sweep, ndim: int) -> Hits:
-    """The hits, in order of their times, then handles: exact times of a ball at boxes."""
+    """The hits, in order of their times, then handles; exact times of axis-aligned boxes."""
     slots, times, features = found
+    is_thin = sweep.radius == 0.0
+    if is_thin and len(slots) == 1:
+        return Hits(slots, times[AT], features[AT])
     order = np.lexsort((columns.node_handle[slots], times[AT]))
-    if sweep.radius == 0.0:
-        return Hits(slots[order], times[AT][order], features[AT][order])
     slots, times, features = slots[order], times[:, order], features[:, order]
     ts, at_features = times[AT], features[AT]
-    open_ones = np.flatnonzero(_undecided(times, features) & ~_shaped(columns)[slots])
+    if is_thin:
+        if all(late > _surely_after(early) for early, late in pairwise(ts.tolist())):
+            return Hits(slots, ts, at_features)
+        late = _surely_after(ts)
+        times, features = np.array((2.0 * ts - late, ts, late)), np.array((at_features,) * 3)
+    is_box = ~_shaped(columns)[slots]
+    open_ones = np.flatnonzero(_undecided(times, features) & is_box)
     if not len(open_ones):
         return Hits(slots, ts, at_features)
     sweep = Sweep(sweep.origin[:ndim], sweep.direction[:ndim], *sweep[2:])
     roots = _exact(columns, slots, times[EARLY], open_ones, sweep)
-    order = _sorted(columns.node_handle[slots], ts, roots)
+    handles = columns.node_handle[slots]
+    boxes = _sorted(np.flatnonzero(is_box), handles, ts, roots)
     for row, root in roots.items():
-        if root is not None:
+        if root is not None and not is_thin:  # one ray has the t of the kernel everywhere
             ts[row], at_features[row] = float(root), INSIDE if root is START else ROUND
-    return Hits(slots[order], np.maximum.accumulate(ts[order]), at_features[order])
+    order = merged(boxes, np.flatnonzero(~is_box), ts, handles)
+    return Hits(slots[order], ts[order], at_features[order])
+
+
+def _surely_after(t: Any) -> Any:
+    """A time by which a thin ray has met a box that it meets at `t`, as computed."""
+    return t * (1.0 + THIN_SLACK) + MINUTE
+
+
+def merged(boxes: Slots, others: Slots, ts: Floats, handles: Slots) -> Slots:
+    """Rows of hits in order of t, then handles. Boxes are in exact order, which their t as doubles
+    may not have: they keep it, and each t becomes the largest up to it.
+    """
+    ts[boxes] = np.maximum.accumulate(ts[boxes])
+    keys = list(zip(ts.tolist(), handles.tolist(), strict=True))
+    return np.array([*merge(boxes.tolist(), others.tolist(), key=keys.__getitem__)], np.int64)
 
 
 def _shaped(columns: Columns) -> NDArray[np.bool_]:
@@ -264,17 +291,17 @@ def _near(lows: Floats, highs: Floats, sweep: Sweep) -> Slots:
     return np.searchsorted(grown.ids(), ids[ts <= latest * (1.0 + SWEEP_SLACK) + MINUTE])
 
 
-def _sorted(handles: Slots, ts: Floats, exact: dict[int, Root | None]) -> Slots:
-    """Rows in order of their roots (else of ts), then handles, without those whose root is
-    None.
+def _sorted(boxes: Slots, handles: Slots, ts: Floats, exact: dict[int, Root | None]) -> Slots:
+    """Rows of boxes in order of their roots (else of ts), then handles, without those whose root
+    is None.
     """
 
     def in_order(one: tuple[Root, int, int], other: tuple[Root, int, int]) -> int:
         return compare(one[0], other[0]) or one[1] - other[1]
 
     rows = []
-    for row, (handle, t) in enumerate(zip(handles.tolist(), ts.tolist(), strict=True)):
-        root = exact[row] if row in exact else rational(t)
+    for row in boxes.tolist():
+        root = exact[row] if row in exact else rational(ts[row].item())
         if root is not None:
-            rows.append((root, handle, row))
+            rows.append((root, handles[row].item(), row))
     return np.array([row for _, _, row in sorted(rows, key=cmp_to_key(in_order))], np.int64)

@@ -75,6 +75,7 @@ from .arguments import (
 )
 from .batch import RowHits
 from .boxes import segment_between
+from .exact_ball import merged
 from .query import Hit, enter_obstacle, is_plain_box, no_hit, touch, walk_nodes
 from .shapes import COORDINATES, FRAME_SLACK
 
@@ -578,9 +579,9 @@ def cast_every(
     tree.check_unchanged(begun)
     if ndim == 2:
         points[:, 2] = sweep.origin[2]
-    order = np.lexsort((columns.node_handle[hits.slots], hits.ts))
-    # Boxes are in exact order, which their t as doubles may not have: they keep it.
-    order[order < boxes] = np.arange(boxes)
+    handles, others = columns.node_handle[hits.slots], boxes + np.arange(count - boxes)
+    others = others[np.lexsort((handles[boxes:], hits.ts[boxes:]))]
+    order = merged(np.arange(boxes), others, hits.ts, handles)
     found: list[Any] = [hits.slots[order].tolist(), hits.ts[order].tolist()]
     rows = points, normals, *(() if triangles is None else (triangles,))
     return zip(*found, *(column[order] for column in rows), strict=True)

@@ -19,8 +19,9 @@ from scene.reference import scene_of
 from tree.adversary import coordinates, nudge
 from tree.reference import effort
 
-from bvh_ros.scene import Shapes
+from bvh_ros.scene import ShapeKind, Shapes
 
+BOX, CYLINDER, CAPSULE = ShapeKind.BOX, ShapeKind.CYLINDER, ShapeKind.CAPSULE
 HALVINGS = 250  # two roots that agree in so many digits are equal: checked below
 
 
@@ -241,7 +242,69 @@ def test_faces_in_one_plane_go_to_the_older():
         hits = scene.raycast_all(start, goal, 0.5)
         assert [int(hit.name) for hit in hits] == rows
         tied += len(hits) > 1 and hits[0].t == hits[1].t
-    assert tied > 9
+    assert tied > 9, tied
+
+
+# names of all hits: of a ball among a box and a round shape whose t are equal as doubles
+TIED = {
+    'the box is older': (
+        (BOX, (1, 0, 1.5), (2, 2, 2)), (CAPSULE, (2, -1.5, 4), (3, 3, 5)),
+        ((-1, -2.5, 3.5), (-1, 1, 3.5), 1.5),
+    ),
+    'the box is younger': (
+        (CYLINDER, (-3, 3.5, 1), (1, 1, 4)), (BOX, (-2.5, 3.5, -0.5), (2.5, 3, 1)),
+        ((-3, 4, -3.5), (-3, 4, -1), 2.0),
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(('one', 'other', 'ball'), TIED.values(), ids=TIED.keys())
+def test_a_box_and_a_round_shape_that_tie(one, other, ball):
+    kinds, positions, sizes = zip(one, other, strict=True)
+    turns = np.tile((0.0, 0, 0, 1), (2, 1))
+    scene = scene_of(Shapes(np.array(kinds), np.array(positions), turns, np.array(sizes)))
+    hits = scene.raycast_all(*ball)
+    assert hits[0].t == hits[1].t
+    assert [hit.name for hit in hits] == ['0', '1']
+    assert scene.raycast(*ball).name == '0'
+
+
+@pytest.mark.parametrize('planar', [False, True], ids=['3D', '2D'])
+def test_order_among_boxes_and_other_shapes(planar):
+    """Boxes are in exact order; any other two hits, one after the other, by t and then handle."""
+    rng, count, tied = np.random.default_rng([4, planar]), 12, 0
+    for _ in range(effort(15, 300)):
+        kinds = rng.choice([BOX, BOX, CYLINDER, CAPSULE], count)
+        places, sizes = rng.integers(-2, 3, (count, 3)) / 2, rng.integers(2, 5, (count, 3)) / 2.0
+        sizes[:, 1] = np.where(kinds == BOX, sizes[:, 1], sizes[:, 0])
+        sizes[:, 2] += np.where(kinds == CAPSULE, sizes[:, 0], 0.0)
+        places[::4] = np.nextafter(places[::4], rng.choice([-9, 9], places[::4].shape))
+        turns = np.tile((0.0, 0, 0, 1), (count, 1))
+        scene = scene_of(Shapes(kinds, places, turns, sizes), planar)
+        boxes, plain = boxes_of(scene), np.flatnonzero(kinds == BOX).tolist()
+        for radius in (0.0, 0.0, 0.0, 0.5, 0.5, 1.5):
+            ends = places[rng.integers(count)] + rng.integers(-1, 2, (2, 3)) / 2
+            along = rng.integers(3 - planar)
+            ends[:, along] = ends[1, along] + (-9, 0)
+            if rng.random() < 0.7:
+                ends[1, :along], ends[1, along + 1 :] = ends[0, :along], ends[0, along + 1 :]
+            axes = slice(3 - planar)
+            way = (ends[1] - ends[0])[axes].tolist()
+            sweep, skip_inside = Sweep(ends[0, axes].tolist(), way, radius), bool(rng.integers(2))
+            asked = scene.raycast_all(*ends, radius, skip_inside=skip_inside)
+            rows = [int(hit.name) for hit in asked]
+            expected = expected_rows([boxes[row] for row in plain], sweep, skip_inside)
+            assert [row for row in rows if row in plain] == [plain[row] for row in expected]
+            for (one, hit), (other, later) in pairwise(zip(rows, asked, strict=True)):
+                if one not in plain or other not in plain:
+                    assert (hit.t, one) < (later.t, other)
+                    tied += hit.t == later.t > 0.0
+            first = scene.raycast(*ends, radius, skip_inside=skip_inside)
+            assert (first.name if first else None) == (asked[0].name if asked else None)
+            if radius == 0.0:
+                timed = scene.raycast_all(*ends, skip_inside=skip_inside, at=1)
+                assert [int(hit.name) for hit in timed] == rows
+    assert tied > 9, tied
 
 
 def test_however_far_or_small():
