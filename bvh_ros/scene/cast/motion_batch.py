@@ -451,13 +451,24 @@ def first_hits(store: Obstacles, rays: Rays, times: Times, threads: int) -> Cast
             sweep = motion.swept_for(tree, view, count, (times.first, times.last))
     if threads == 1:
         return _some_hits(store, view, sweep, rays, times, boxes)
-
-    def work(start: int, stop: int) -> CastHits:
-        part, when = (rows_of(rows, count, slice(start, stop)) for rows in (rays, times))
-        return _some_hits(store, view, sweep, part, when, boxes)
-
+    work = functools.partial(_part_of_hits, store, view, sweep, rays, times, boxes)
     parts = in_threads(work, count, threads, 1 if sweep is None else 2 * RAYS_AT_ONCE)
     return parts[0] if len(parts) == 1 else joined_hits(parts)
+
+
+def _part_of_hits(
+    store: Obstacles,
+    view: Any,
+    sweep: Sweep | None,
+    rays: Rays,
+    times: Times,
+    boxes: bool,
+    start: int,
+    stop: int,
+) -> CastHits:
+    """First hits of the rows [start, stop)."""
+    part, when = (rows_of(rows, len(rays.origins), slice(start, stop)) for rows in (rays, times))
+    return _some_hits(store, view, sweep, part, when, boxes)
 
 
 def _few_boxes(
