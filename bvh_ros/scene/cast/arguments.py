@@ -140,17 +140,28 @@ _codes: dict[tuple[Any, ...], Any] = {}
 
 
 def code_for(
-    kernel: Any, shapes: tuple[Any, Any], given: tuple[Any, ...], variant: object = None
+    kernel: Any,
+    shapes: tuple[Any, Any],
+    given: tuple[Any, ...],
+    variant: object = None,
+    calls: Callable[..., int] | None = None,
 ) -> Any:
     """The machine code of a kernel that takes a world, or `Columns.shapes`, and always the same
     types besides, but for those that `variant` distinguishes: numba would look at every array.
+    If it has `calls`, the kernel calls another one at the address that this returns for the
+    arguments given, and takes that before them.
     """
     solid, flat = shapes
     some = solid or flat
     key = kernel, solid is None, flat is None, type(some and some[1]), variant
     code = _codes.get(key)
     if code is None:
-        code = _codes[key] = entry_point(kernel, *given)
+        if calls is None:
+            code = entry_point(kernel, *given)
+        else:
+            address = calls(*given)
+            code = functools.partial(entry_point(kernel, address, *given), address)
+        _codes[key] = code
     return code
 
 

@@ -32,7 +32,7 @@ from ...tree.access import (
     of_row,
     set_ray,
 )
-from ...tree.compiler import inlined, lean_kernel, stack_array
+from ...tree.compiler import address_of, called_at, inlined, lean_kernel, stack_array
 from ..results import CastHits, cast_hits, require_few
 from ..shapes.shape import Floats
 from ..store import Columns
@@ -44,6 +44,7 @@ from .arguments import (
     Rays,
     Sweep,
     code_for,
+    room_for_triangles,
     scratch_in,
     too_long,
     triangles_in,
@@ -172,11 +173,15 @@ def cast_row(world, snapshot, node_handles, segment, query, scratch, memory):
     return hit, np.int64(0)
 
 
+called_rows = called_at(cast_rows)
+
+
 @lean_kernel
-def cast_segment(view, snapshot, shapes, node_handles, ends, ball, memory, place):
-    """`cast_rows` of one row, ends = (start, goal), ball = (radius, mask, skip_inside, every):
-    (slot, t), and its point and normal as the rows of `place`; where there are meshes, its
-    triangle, too. Instead of a slot NONE, NOT_FINITE, REFUSED, or UNDECIDED, with `wanted` for t.
+def cast_segment(address, view, snapshot, shapes, node_handles, ends, ball, memory, place):
+    """`cast_rows`, at its address, of one row, ends = (start, goal), ball = (radius, mask,
+    skip_inside, every): (slot, t), and its point and normal as the rows of `place`; where there
+    are meshes, its triangle, too. Instead of a slot NONE, NOT_FINITE, REFUSED, or UNDECIDED, with
+    `wanted` for t.
     """
     (start, goal), (radius, mask, skip_inside, every) = ends, ball
     masks, slots = stack_array(1, np.uint32), stack_array(1, np.int64)
@@ -186,8 +191,9 @@ def cast_segment(view, snapshot, shapes, node_handles, ends, ball, memory, place
     rays = Rays(*segment, t_max, masks, radii, True, skip_inside, every)
     triangles = triangles_in(shapes, place[2:])
     hits = RowHits(slots, stack_array(1, np.uint32), ts, place[:1], place[1:2], triangles)
-    given = view, snapshot, shapes, node_handles, rays, (0, 1), memory, hits
-    done, wanted, _ = cast_rows(*given)
+    row = np.int64(0), np.int64(1)
+    given = view, snapshot, shapes, node_handles, rays, row, memory, hits
+    done, wanted, _ = called_rows(address, given)
     if done < 0:
         return np.int64(done), np.inf
     if done == 0:
@@ -255,7 +261,7 @@ def _cast_one(
     place = np.empty((columns.rows_of_hit, 3))
     view, snapshot = tree.ready_snapshot() or (tree.view(), no_snapshot(tree.ndim))
     given = view, snapshot, shapes, handles, ends, ball, room, place
-    code = code_for(cast_segment, shapes, given)
+    code = code_for(cast_segment, shapes, given, calls=_address_of_rows)
     slot, t = code(*given)
     if slot == REFUSED:
         given = tree.view(), no_snapshot(tree.ndim), *given[2:]
@@ -264,6 +270,18 @@ def _cast_one(
     if slot == NOT_FINITE:
         raise too_long(*ends)
     return slot, t, place
+
+
+def _address_of_rows(
+    view: View, snapshot: Snapshot, shapes: Any, node_handles: Any, *_: object
+) -> int:
+    """Where `cast_segment` finds `cast_rows`."""
+    row = np.empty((0, 3))
+    rays = Rays(row, row, np.empty(0), np.empty(0, UINT32), THIN, True, False, False)
+    triangles = room_for_triangles(shapes, 0)
+    hits = RowHits(NO_SLOTS, np.empty(0, UINT32), np.empty(0), row, row, triangles)
+    given = view, snapshot, shapes, node_handles, rays, (0, 0), memory.rows, hits
+    return address_of(cast_rows, *given)
 
 
 def _found(room: Any, count: int) -> Candidates:

@@ -35,7 +35,7 @@ from ...tree.access import (
     slot_of,
 )
 from ...tree.access import Hit as TreeHit
-from ...tree.compiler import inlined, lean_kernel, prefetch, stack_array
+from ...tree.compiler import address_of, called_at, inlined, lean_kernel, prefetch, stack_array
 from ...tree.motion.access import (
     FRONTS,
     OUTSIDE,
@@ -458,10 +458,13 @@ def first_box(tree, moving, start, goal, mask, skip_inside, when, place):
     return (slot_of(handle) if handle >= 0 else np.int64(handle)), t
 
 
+called_rows_at = called_at(cast_rows_at)
+
+
 @lean_kernel
-def first_segment(tree, moving, shapes, ends, ball, when, node_handles, place):
-    """`cast_rows_at` of one row, ends = (start, goal), ball = (radius, mask, skip_inside, rate,
-    grown), when = (at, pace): as `first_box`.
+def first_segment(address, tree, moving, shapes, ends, ball, when, node_handles, place):
+    """`cast_rows_at`, at its address, of one row, ends = (start, goal), ball = (radius, mask,
+    skip_inside, rate, grown), when = (at, pace): as `first_box`.
     """
     (start, goal), (radius, mask, skip_inside, rate, grown) = ends, ball
     ndim, direction = moving.velocities[0].velocity.shape[0], stack_array(3, np.float64)
@@ -478,7 +481,7 @@ def first_segment(tree, moving, shapes, ends, ball, when, node_handles, place):
     triangles = triangles_in(shapes, place[2:])
     hits = RowHits(slots, stack_array(1, np.uint32), ts, place[:1], place[1:2], triangles)
     none = EveryHit(slots[:0], ts[:0], slots[:0], slots[:0])
-    why = cast_rows_at(shapes, tree, moving, rays, node_handles, none, hits)
+    why = called_rows_at(address, (shapes, tree, moving, rays, node_handles, none, hits))
     return (slots[0] if why == 0 else why), ts[0]
 
 
@@ -526,7 +529,8 @@ def first_of_one(
         grown_ball = *ball, store.uncertainty, grown
         given = columns.shapes, ends, grown_ball, when, columns.node_handle, place
         arrays = tree.view().tree, tree.motion.moving  # type: ignore[union-attr]
-        code = code_for(first_segment, columns.shapes, (*arrays, *given), tree.ndim)
+        given_all = *arrays, *given
+        code = code_for(first_segment, columns.shapes, given_all, tree.ndim, _address_of_rows)
     slot, t = tree.motion.ask_path(tree, code, given, *when, 1.0)  # type: ignore[union-attr]
     if slot == NOT_FINITE:
         raise too_long(*ends)
@@ -537,6 +541,14 @@ def first_of_one(
     if len(place) == 2:
         return slot, t, place[0], place[1]
     return slot, t, place[0], place[1], place[2]
+
+
+def _address_of_rows(tree: Any, moving: Any, shapes: Any, *_: Any) -> int:
+    """Where `first_segment` finds `cast_rows_at`."""
+    row, rows = np.empty(0), np.empty((0, moving.velocities.dtype['velocity'].shape[0]))
+    rays = TimedBalls(*(rows, rows, row, np.empty(0, np.uint32), row, row, row, row, 0.0, False))
+    handles, hits = np.empty(0, np.int64), room_for_rows(0, shapes)
+    return address_of(cast_rows_at, shapes, tree, moving, rays, handles, NO_ROOM, hits)
 
 
 def cast_every(

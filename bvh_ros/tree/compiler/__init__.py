@@ -3,7 +3,16 @@
 """The door to numba: decorators for kernels, and what decides when they are compiled."""
 
 from . import kernel_cache, shipped
-from .compiling import chosen_by_types, entry_point, inlined, kernel, lean_kernel, prepare
+from .compiling import (
+    address_of,
+    called_at,
+    chosen_by_types,
+    entry_point,
+    inlined,
+    kernel,
+    lean_kernel,
+    prepare,
+)
 from .intrinsics import (
     CACHE_LINE,
     LANES,

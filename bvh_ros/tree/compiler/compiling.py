@@ -110,6 +110,27 @@ def entry_point(
     return code
 
 
+def address_of(compiled: Any, *arguments: Any) -> int:
+    """Return where the machine code of a kernel for arguments of exactly these types is, for
+    `called_at`.
+    """
+    if inside.parts() is None:
+        return 0
+    address: int = compiled.address_of(tuple(map(numba.typeof, arguments)))
+    return address
+
+
+def called_at(compiled: Any) -> Any:
+    """A function for kernels: call(address, arguments) runs the machine code that another kernel
+    has at an address, as of `address_of`. What calls it holds no copy, which would be compiled
+    for a second time.
+    """
+    parts = inside.parts()
+    if parts is None:
+        return numba.njit(lambda address, arguments: compiled(*arguments))
+    return parts.called_at(compiled)
+
+
 def prepare(compiled: Any, *arguments: Any) -> None:
     """Compile what becomes a part of kernels that get arguments of these types, while another
     process compiles what else they are made of. Only in a worker: loading kernels needs none.

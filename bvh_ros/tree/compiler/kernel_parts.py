@@ -23,6 +23,7 @@ from collections.abc import Iterator
 from typing import Any, ClassVar
 
 from numba.core.bytecode import FunctionIdentity
+from numba.core.cgutils import if_unlikely, unpack_tuple
 from numba.core.compiler import Compiler, DefaultPassBuilder
 from numba.core.compiler_lock import global_compiler_lock
 from numba.core.compiler_machinery import register_pass
@@ -32,6 +33,7 @@ from numba.core.types import Dispatcher, Function, IntegerLiteral, Record
 from numba.core.types.misc import unliteral
 from numba.core.typing.templates import AbstractTemplate, infer_global
 from numba.core.untyped_passes import InlineClosureLikes, InlineInlinables
+from numba.extending import intrinsic
 
 from .kernel_files import KernelCache, PartCache, PartCode
 from .workers import is_here
@@ -276,6 +278,13 @@ class Kernel(CPUDispatcher):
         with _garbage_is_seldom_looked_for():
             self._part.compile(sig)
 
+    def address_of(self, sig: Any) -> int:
+        """Where the machine code for these types is."""
+        self.compile(sig)
+        code = self.overloads[sig]
+        address: int = code.library.get_pointer_to_function(code.fndesc.llvm_func_name)
+        return address
+
     def is_kept(self, sig: Any) -> bool:
         """Whether the machine code for these types need not be compiled."""
         with global_compiler_lock:
@@ -309,6 +318,29 @@ def choose_kernels(called: Any, choose: Any) -> None:
             return self.entries[sig.args]
 
     infer_global(called, Function(Chosen))
+
+
+def called_at(compiled: Kernel) -> Any:
+    """As `compiling.called_at`."""
+
+    @intrinsic
+    def call(typingctx: Any, address: Any, arguments: Any) -> Any:
+        code = compiled.overloads.get(arguments.types)
+        if code is None:
+            raise TypeError(f'{compiled.py_func.__name__} has no code for {arguments.types}')
+        result, kinds = code.signature.return_type, arguments.types
+
+        def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+            called = context.call_conv.get_function_type(result, kinds).as_pointer()
+            place, values = builder.inttoptr(args[0], called), unpack_tuple(builder, args[1])
+            status, value = context.call_conv.call_function(builder, place, result, kinds, values)
+            with if_unlikely(builder, status.is_error):
+                context.call_conv.return_status_propagate(builder, status)
+            return value
+
+        return result(address, arguments), codegen
+
+    return call
 
 
 def code_generator() -> tuple[str, str, str]:

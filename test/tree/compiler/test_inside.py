@@ -24,7 +24,11 @@ import numpy as np
 from bvh_ros import DynamicBVH
 from bvh_ros.scene.cast.arguments import triangles_in
 from bvh_ros.tree import checks
+from bvh_ros.tree.compiler import address_of, called_at
 
+rows = np.array([[1.0, 2.0], [np.inf, 3.0]])
+address, there = address_of(checks.first_not_finite, rows), called_at(checks.first_not_finite)
+row = numba.njit(lambda address, rows: there(address, (rows,)))(address, rows)
 chosen = numba.njit(lambda solid, rows: triangles_in((solid, None), rows) is None)
 random = np.random.default_rng(0)
 tree = DynamicBVH(2)
@@ -38,6 +42,7 @@ print(json.dumps([
     [array.tolist() for array in hits],
     tree.overlap([10, 10], [40, 40]).tolist(),
     tree.cost(),
+    int(row),
     [chosen(None, 1), chosen((1, 2), 1)],
 ]))
 """
