@@ -133,7 +133,9 @@ class RayQueries:
         origins, directions : array_like, shape (n, 3), or (n, 2) in a planar scene
             One of them may be one row: the same for all rays.
         t_max, mask : one for all rays, or array_like of shape (n,)
-
+            `t_max` may be infinite, but for balls and where obstacles grow.
+        skip_inside : bool
+            Ignore obstacles that contain a ray's origin, or that a ball touches there.
         threads : int
             The rays are shared among so many threads; the answer does not depend on it.
         radius : one for all rays, or array_like of shape (n,), optional
@@ -145,6 +147,12 @@ class RayQueries:
         -------
         CastHits
             `t` in units of the directions.
+
+        Raises
+        ------
+        ValueError
+            If an argument is NaN, infinite where it may not be, negative (`t_max`, `radius`) or of
+            the wrong shape; the message names the first bad row.
         """
         if self._store.change.unfinished:
             self._store.change.require_none()

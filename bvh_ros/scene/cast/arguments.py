@@ -97,6 +97,8 @@ def refuse_infinite(rays: Rays) -> None:
     with np.errstate(over='ignore', invalid='ignore'):
         if rays.to_goals:
             finite = np.isfinite(rays.directions - rays.origins).all(axis=1)
+        elif rays.radii is THIN:  # a thin ray may have no end
+            return
         else:
             lengths = every_row(rays.t_max, count)[:, None]
             finite = np.isfinite(rays.directions * lengths).all(axis=1)

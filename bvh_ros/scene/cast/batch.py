@@ -58,9 +58,9 @@ from .query import (
     Query,
     drop_late,
     fill_segment,
-    find,
     first_candidate,
     first_of,
+    hits_met,
     no_hit,
     slack_of,
     write_row,
@@ -156,7 +156,7 @@ def cast_row(world, snapshot, node_handles, segment, query, scratch, memory):
     if query.radius > 0.0:
         slack = slack_of(world, scratch.ray, query.radius)
     caster = Caster(world, Query(query.radius, slack, *query[2:]), scratch)
-    found = find(caster, snapshot, segment, room)
+    found = hits_met(caster, snapshot, segment, room)
     if query.radius == 0.0 and not query.every:
         return first_of(caster, found), np.int64(0)
     count = drop_late(room, found) if query.radius > 0.0 else found.count

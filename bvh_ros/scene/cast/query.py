@@ -458,7 +458,7 @@ def walk(caster, snapshot, segment, room, found, visit):
 
 
 @inlined
-def find(caster, snapshot, segment, room):
+def hits_met(caster, snapshot, segment, room):
     """The `Found` of a query."""
     path = BallPath(stack_array(3, np.float64), -1.0, False)
     nothing = Found(no_hits(), np.int64(0), np.inf, caster.query.t_max, path)

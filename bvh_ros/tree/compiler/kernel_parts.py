@@ -29,7 +29,7 @@ from numba.core.compiler_lock import global_compiler_lock
 from numba.core.compiler_machinery import register_pass
 from numba.core.registry import CPUDispatcher, cpu_target
 from numba.core.typed_passes import InlineOverloads, NativeLowering, NopythonRewrites
-from numba.core.types import Dispatcher, Function, IntegerLiteral, Record
+from numba.core.types import BooleanLiteral, Dispatcher, Function, IntegerLiteral, Record
 from numba.core.types.misc import unliteral
 from numba.core.typing.templates import AbstractTemplate, infer_global
 from numba.core.untyped_passes import InlineClosureLikes, InlineInlinables
@@ -292,7 +292,8 @@ class Kernel(CPUDispatcher):
 
     def get_call_template(self, args: Any, kws: Any) -> Any:
         """One part for a number written in the call and one that is computed, not two."""
-        args = tuple(unliteral(one) if isinstance(one, IntegerLiteral) else one for one in args)
+        written = IntegerLiteral, BooleanLiteral
+        args = tuple(unliteral(one) if isinstance(one, written) else one for one in args)
         return self._part.get_call_template(args, kws)
 
     def get_overload(self, sig: Any) -> Any:
