@@ -91,6 +91,23 @@ def test_what_is_no_time(bad: object) -> None:
 BOX = Shapes.boxes([[0, 0, 0]], 1)
 
 
+@pytest.mark.parametrize('mixed', [[1, 2.0], (0.5, 2), [np.int64(1), np.float64(2)]])
+def test_times_of_both_kinds(mixed: object) -> None:
+    """numpy makes seconds of the integers among them."""
+    tree, scene, rows = moving_tree(0.5), moving_scene(0.5), ([[0, 0, 0]] * 2, [[20, 0, 0]] * 2)
+    for call in (
+        lambda: tree.nearest_many([[0, 0]] * 2, at=mixed),
+        lambda: scene.sweep_many(*rows, at=mixed),
+        lambda: scene.sweep_many(*rows, at=0.5, until=mixed),
+        lambda: scene.nearest_many(rows[0], at=mixed),
+        lambda: scene.update('s', ['a', 'b'], Shapes.boxes(rows[0], 1), stamp=mixed),
+        lambda: scene.update('s', ['a', 'b'], Shapes.boxes(rows[0], 1), stamp=0, expires=mixed),
+    ):
+        with pytest.raises(ValueError, match='all integers'):
+            call()
+    assert len(scene) == 1
+
+
 def test_seconds_are_the_nearest_nanosecond() -> None:
     """Also of times that have no digits left for their nanoseconds."""
     from bvh_ros.tree.access import whole_ns
@@ -98,4 +115,4 @@ def test_seconds_are_the_nearest_nanosecond() -> None:
     times = np.random.default_rng(2).uniform(-2e9, 2e9, 20_000)
     for seconds in times, (times * 1e-9).astype(np.float32):
         exact = [round(Fraction(second) * 10**9) for second in seconds.tolist()]
-        assert whole_ns('at', seconds).tolist() == exact
+        assert whole_ns('at', seconds, seconds).tolist() == exact

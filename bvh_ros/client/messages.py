@@ -119,7 +119,7 @@ def _time(name: str, stamp: float | None) -> int:
     if stamp is None:
         return 0
     if isinstance(stamp, (float, np.floating)):
-        stamp = int(whole_ns(name, np.asarray(stamp)))
+        stamp = int(whole_ns(name, np.asarray(stamp), stamp))
     if not checks.is_integer(stamp):
         shown = checks.shown_short(stamp)
         raise ValueError(f'{name} must be an int (ns) or a float (s), not {shown}')
@@ -304,7 +304,7 @@ def times_of(name: str, given: ArrayLike | None, count: int) -> NDArray[np.int64
     except Exception as error:  # whatever an object of another library raises
         raise ValueError(f'{name} must be ints (ns) or floats (s): {error}') from None
     if values.dtype.kind == 'f' and values.size and values.shape in ((), (count,)):
-        values = whole_ns(name, values)
+        values = whole_ns(name, values, given)
     if values.dtype.kind != 'i':
         raise ValueError(f'{name} must be ints (ns) or floats (s), not {values.dtype}')
     if values.shape not in ((), (count,)):

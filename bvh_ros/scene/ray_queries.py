@@ -164,7 +164,7 @@ class RayQueries:
             directions,
             limits,
             mask,
-            radius,
+            0.0 if radius is None else radius,
             False,
             checks.flag('skip_inside', skip_inside),
         )
@@ -222,7 +222,7 @@ class RayQueries:
         masks = EVERYTHING if mask is ALL else checks.masks_or_one(mask, count)
         if type(threads) is not int or threads != 1:
             threads = checks.whole('threads', threads, 1)
-        if radius is not None:
+        if type(radius) is not float or radius != 0.0:
             radii = checks.lengths_or_one('radius', radius, count)
             # numpy's any() takes as long as a row.
             if not (radii.item() if len(radii) == 1 else radii.any()):

@@ -82,7 +82,7 @@ def column(
         array = array.astype(np.int64)  # an empty list is of floats
     fits = array.shape in ((), (count,)) and not masked
     if fits and largest == LAST_TIME and array.dtype.kind == 'f':
-        array = whole_ns(name, array)
+        array = whole_ns(name, array, value)
     beyond = array.dtype == object and all(type(number) is int for number in array.flat)
     whole = beyond or array.dtype.kind in 'iu'  # numpy makes objects of integers beyond 64 bits
     if not fits or not whole:
@@ -165,9 +165,11 @@ def validate_rows(
     slots: Slots,
     owner: Owner,
     columns: tuple[ArrayLike, ArrayLike, ArrayLike | None],
+    speeds: Floats | None,
     planar: bool,
 ) -> Validated:
-    """The rows to apply. `columns` are stamps, expiries and categories, one for all or one a row.
+    """The rows to apply. `columns` are stamps, expiries and categories, one for all or one a row;
+    speeds, (n, 3), are the velocities that are given.
 
     Of several good rows with one name the last is applied: a message is read in order, and a later
     row modifies an earlier one's obstacle.
@@ -186,23 +188,33 @@ def validate_rows(
     fields = everyone, slots, records, mesh, lo, hi, masks, stamps, lives
     rows, reasons = tuple.__new__(Rows, fields), Reasons(count)
     good, known = _all_good()(faults, names[1:], slots, owner.of_slot, owner.number)
+    if speeds is not None and checks.first_not_finite(speeds) >= 0:
+        good = False
     if good and not _refuse_names(names, reasons):
         if known == count:
             return Validated(_NO_ROWS[planar], rows, reasons)
         if known == 0:
             return Validated(rows, _NO_ROWS[planar], reasons)
     else:
-        rows = rows.take(_taken(names, slots, form, owner, reasons))
+        rows = rows.take(_taken(names, slots, form, owner, speeds, reasons))
     new = rows.slot == UNKNOWN
     return Validated(rows.take(new), rows.take(~new), reasons)
 
 
 def _taken(
-    names: Families, slots: Slots, form: Canonical, owner: Owner, reasons: Reasons
+    names: Families,
+    slots: Slots,
+    form: Canonical,
+    owner: Owner,
+    speeds: Floats | None,
+    reasons: Reasons,
 ) -> NDArray[np.int64]:
     """Which rows to apply; why the others are refused is added to the reasons."""
     for fault in np.unique(form.faults[form.faults != FINE]).tolist():
         reasons.add(form.faults == fault, REASONS[fault])
+    if speeds is not None:
+        wrong = np.logical_not(np.isfinite(speeds).all(axis=1))
+        reasons.add(wrong, 'its velocity is not finite')
     _refuse_names(names, reasons)
     known = slots != UNKNOWN
     foreign = np.flatnonzero(known)

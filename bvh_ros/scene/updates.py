@@ -81,18 +81,12 @@ class Follow(Protocol):
         """Velocities, (n, 3) m/s, of obstacles from two reports of their positions."""
 
 
-def speeds_of(
-    store: Obstacles, given: ArrayLike | Follow, valid: Validated
-) -> tuple[Floats, Validated]:
-    """Velocities of the rows along the tree's axes; and the rows that have one."""
-    count, ndim = len(valid.reasons.good), store.tree.ndim
-    if callable(given) and hasattr(given, 'max_speed'):
-        return _followed(store, given, valid.known, count), valid
+def given_speeds(given: ArrayLike | Follow | None, count: int, planar: bool) -> Floats | None:
+    """Velocities (n, 3) of the rows, m/s; None if there are none, or they are to be estimated."""
+    if given is None or (callable(given) and hasattr(given, 'max_speed')):
+        return None
     velocities: Any = given
-    rows = checks.rows('velocities', velocities, 3, count, store.planar)
-    wrong = np.logical_not(np.isfinite(rows).all(axis=1))
-    valid = _without(valid, wrong, 'its velocity is not finite')
-    return np.ascontiguousarray(rows[:, :ndim]), valid
+    return checks.rows('velocities', velocities, 3, count, planar)
 
 
 def reach_of(store: Obstacles, given: ArrayLike | Follow, speeds: Floats) -> Floats:
@@ -104,15 +98,6 @@ def reach_of(store: Obstacles, given: ArrayLike | Follow, speeds: Floats) -> Flo
     with np.errstate(over='ignore'):  # infinite: anywhere
         fastest = fastest + store.uncertainty * (fastest.max(axis=1, keepdims=True) > 0.0)
         return np.multiply(fastest, store.max_prediction, out=reach, where=fastest > 0.0)
-
-
-def _without(valid: Validated, wrong: NDArray[np.bool_], reason: str) -> Validated:
-    """Refuse some rows."""
-    if not wrong.any():
-        return valid
-    valid.reasons.add(wrong, reason)
-    added, known = (some.take(~wrong[some.row]) for some in valid[:2])
-    return Validated(added, known, valid.reasons)
 
 
 def _followed(store: Obstacles, follow: Follow, known: Rows, count: int) -> Floats:
@@ -143,9 +128,9 @@ class Part(NamedTuple):
         if isinstance(self.shapes, Shapes) and np.size(self.shapes.kind) <= length:
             yield self
             return
-        names, given = as_families(self.names), as_shapes(self.shapes)
+        given = as_shapes(self.shapes)
         total = len(given.kind)
-        require_a_name_each(names, total)
+        names = name_each(self.names, total)
         columns: list[Any] = [
             column('stamp', self.stamp, total, LAST_TIME, FIRST_TIME),
             column('expires', self.expires, total, LAST_TIME),
@@ -184,13 +169,17 @@ def _stamps(given: Any, shapes: Shapes) -> Any:
     except checks.FOREIGN:
         return given  # will be refused
     few = isinstance(shapes, Shapes) and 0 < times.size <= max(np.size(shapes.kind), 1)
-    return whole_ns('stamp', times) if few and times.dtype.kind == 'f' else given
+    return whole_ns('stamp', times, given) if few and times.dtype.kind == 'f' else given
 
 
-def require_a_name_each(names: Families, count: int) -> None:
-    """ValueError if there are more or fewer names than shapes."""
+def name_each(given: Names, count: int) -> Families:
+    """The names of so many shapes; ValueError if there are not as many, or they have no order."""
+    if isinstance(given, (set, frozenset)):
+        raise ValueError('names must be a sequence of strings: a set has no order')
+    names = as_families(given)
     if len(names) != count:
         raise ValueError(f'there are {len(names)} names for {count} shapes')
+    return names
 
 
 # ---- Rows of messages into a scene.
@@ -326,10 +315,12 @@ class Updates:
         """Apply rows; all that the message has if `whole`, a part of what is `sliced`."""
         store = self._store
         text('source', source), text('group', group)
-        names, slots, valid = self._validated(source, part)
-        speeds = reach = None
+        names, slots, valid, speeds = self._validated(source, part)
+        reach = None
         if part.velocities is not None:
-            speeds, valid = speeds_of(store, part.velocities, valid)
+            if speeds is None:
+                follow: Any = part.velocities
+                speeds = _followed(store, follow, valid.known, len(slots))
             reach = reach_of(store, part.velocities, speeds)
         added, known, outside = within(self._region, valid, reach)
         present = slots[slots != UNKNOWN] if whole or sliced else slots
@@ -356,23 +347,27 @@ class Updates:
             (sliced or store).newest = newest
         return valid.reasons.refusals(names.text)
 
-    def _validated(self, source: str, part: Part) -> tuple[Families, Slots, Validated]:
-        """Names of the rows, their slots, and what can be applied."""
+    def _validated(
+        self, source: str, part: Part
+    ) -> tuple[Families, Slots, Validated, Floats | None]:
+        """Names of the rows, their slots, what can be applied, and velocities that are given."""
         store = self._store
         store.change.require_none()
         self.remove_orphans()
         shapes = as_shapes(part.shapes, store.planar)
         if len(shapes.kind) > FEW_ROWS:
             self.require_memory(len(shapes.kind))
-        names = as_families(part.names)
-        require_a_name_each(names, len(shapes.kind))
+        names = name_each(part.names, len(shapes.kind))
         slots = store.registry.find(names)
         groups = store.groups
         # As Owner(...), which would take one more call of a function of Python's.
         parts = groups.source(source), store.columns.source, groups.source_name
         owner = tuple.__new__(Owner, parts)
-        valid = validate_rows(names, shapes, slots, owner, part[2:5], store.planar)
-        return names, slots, valid
+        speeds = given_speeds(part.velocities, len(slots), store.planar)
+        valid = validate_rows(names, shapes, slots, owner, part[2:5], speeds, store.planar)
+        if speeds is not None:
+            speeds = np.ascontiguousarray(speeds[:, : store.tree.ndim])
+        return names, slots, valid, speeds
 
     def _fitting(self, added: Rows, room: int, valid: Validated, names: Families) -> Rows:
         """New obstacles that there is room for; where the message brings no masks, with those that

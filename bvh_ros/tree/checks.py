@@ -633,8 +633,9 @@ def numbers(name: str, given: ArrayLike) -> NDArray[np.int64]:
 FIRST_TIME, LAST_TIME = -(1 << 63), (1 << 63) - 1  # what a time in ns can be
 
 
-def whole_ns(name: str, seconds: Floats) -> NDArray[np.int64]:
-    """Times in s as the nearest whole ns."""
+def whole_ns(name: str, seconds: Floats, given: Any) -> NDArray[np.int64]:
+    """Times in s as the nearest whole ns; the array was made of what is given."""
+    refuse_mixed(name, given)
     last = LAST_TIME // 10**9
     if not (np.abs(seconds) <= last).all():
         raise ValueError(f'{name} must be finite, and at most {last} s')
@@ -645,11 +646,22 @@ def whole_ns(name: str, seconds: Floats) -> NDArray[np.int64]:
     return np.asarray(whole.astype(np.int64) * 10**9 + rest)
 
 
+def refuse_mixed(name: str, given: Any) -> None:
+    """ValueError where some times are integers, ns, and others are not: numpy makes floats of all,
+    and these are seconds.
+    """
+    if isinstance(given, (list, tuple)):
+        whole = [isinstance(one, (int, np.integer)) for one in given]
+        if any(whole) and not all(whole):
+            raise ValueError(f'{name} must be all integers (ns) or all floats (s)')
+
+
 def _in_seconds(name: str, value: Any, shape: tuple[int, ...]) -> Floats:
     """As `unless_refused`, with integers of a moment brought to seconds."""
     array = unless_refused(name, value, shape)
     if name != 'pace' and array.shape in ((), shape):
         given = np.asarray(value)
+        refuse_mixed(name, value)
         if given.dtype.kind in 'iu':
             return np.asarray(given.astype(np.longdouble) / 10**9, np.float64)
     return array

@@ -118,7 +118,7 @@ def test_changes(scene):
         scene.replace(source, '', names, shapes, **rest)
 
     for change in (scene.update, replace, in_slices(scene)):
-        for names in NOT_NAMES:
+        for names in (*NOT_NAMES, {'a'}, frozenset('a')):
             refused(scene, change, 's', names, BOX, stamp=8)
         for shapes in NOT_SHAPES:
             refused(scene, change, 's', ['a'], shapes, stamp=8)

@@ -404,6 +404,9 @@ def _touch_moving(cast, i, hit, stopped, point, normal, triangle):
         point[axis] += box[2][axis] * since
     for axis in range(3):
         point[axis] += normal[axis] * grown
+    for axis in range(center.shape[0]):
+        if not np.isfinite(point[axis]):  # so far away was the obstacle at its stamp
+            point[axis] = center[axis] + hit.t * rays.directions[i, axis]
     if grown > 0.0 and hit.t == 0.0:  # a start within the growth is the point, without a normal
         out = 0.0
         for axis in range(center.shape[0]):

@@ -38,18 +38,22 @@ class Model(RuleBasedStateMachine):
         self.last_handle = 0
         self.newest = 0
 
-    def apply(self, source, group, names, x, expires, whole):
+    def apply(self, source, group, names, x, expires, whole, moving=False):
         written = spelled(names)
         x = (x * len(written))[: len(written)]
         places = np.stack([x, np.zeros(len(x)), np.zeros(len(x))], axis=1)
         shapes = changed(Shapes.boxes(np.zeros_like(places), [1.0, 1.0, 1.0]), position=places)
         arguments = (names, shapes)
         told = {'stamp': self.newest + 1, 'expires': expires}
+        if moving:  # what is at 2.5 has no velocity that is one
+            told['velocities'] = np.where(places == 2.5, np.nan, places / 1e300)
         if whole:
             refusals = self.scene.replace(source, group, *arguments, **told)
         else:
             refusals = self.scene.update(source, *arguments, **told)
-        refused = {row for row, name in enumerate(written) if self.is_bad(source, name, x[row])}
+        refused = {
+            row for row, name in enumerate(written) if self.is_bad(source, name, x[row], moving)
+        }
         if whole:
             gone = [
                 n
@@ -75,9 +79,10 @@ class Model(RuleBasedStateMachine):
         if whole or last:
             self.newest += 1
 
-    def is_bad(self, source, name, x):
+    def is_bad(self, source, name, x, moving):
         return (
             np.isnan(x)
+            or (moving and x == 2.5)
             or not name
             or name.startswith('error: ')
             or (name in self.known and self.known[name][0] != source)
@@ -88,9 +93,15 @@ class Model(RuleBasedStateMachine):
     places = st.lists(coordinates, min_size=1, max_size=4)
     lives = st.sampled_from([0, 5, 9])
 
-    @rule(source=sources, names=st.lists(texts, max_size=6), x=places, expires=lives)
-    def update_texts(self, source, names, x, expires):
-        self.apply(source, '', names, x, expires, False)
+    @rule(
+        source=sources,
+        names=st.lists(texts, max_size=6),
+        x=places,
+        expires=lives,
+        moving=st.booleans(),
+    )
+    def update_texts(self, source, names, x, expires, moving):
+        self.apply(source, '', names, x, expires, False, moving)
 
     @rule(
         source=sources, names=numbered, x=places, expires=lives, whole=st.booleans(), group=groups
@@ -99,9 +110,15 @@ class Model(RuleBasedStateMachine):
         numbers = Numbered(names[0], np.array(names[1], int))
         self.apply(source, group if whole else '', numbers, x, expires, whole)
 
-    @rule(source=sources, names=st.lists(texts, max_size=6), x=places, group=groups)
-    def replace_texts(self, source, names, x, group):
-        self.apply(source, group, names, x, 0, True)
+    @rule(
+        source=sources,
+        names=st.lists(texts, max_size=6),
+        x=places,
+        group=groups,
+        moving=st.booleans(),
+    )
+    def replace_texts(self, source, names, x, group, moving):
+        self.apply(source, group, names, x, 0, True, moving)
 
     @rule(source=sources, names=st.lists(texts, max_size=4))
     def remove(self, source, names):
