@@ -244,7 +244,7 @@ class Updates:
         categories: ArrayLike | None = None,
         velocities: ArrayLike | Follow | None = None,
     ) -> Refusals:
-        """Add or modify obstacles.
+        """Add or modify obstacles. One that `replace` brought in a group leaves that group.
 
         Parameters
         ----------
