@@ -160,7 +160,7 @@ def _square_root(x: Fraction) -> Fraction:
     return Fraction(isqrt(product << 2 * shift), x.denominator << shift)
 
 
-# ---- balls among boxes: brackets of the times, and what exact arithmetic decides
+# ---- rays and balls among boxes: brackets of the times, and what exact arithmetic decides
 
 
 THIN_SLACK = 2.0**-50  # 4 ulp: a t is within 2 of the exact one
