@@ -80,7 +80,9 @@ def test_obstacles_expire_at_floats_too() -> None:
     assert scene.expire(3_000_000_000) == 1
 
 
-@pytest.mark.parametrize('bad', [float('nan'), float('inf'), 1e300, '1', None, 1j])
+@pytest.mark.parametrize(
+    'bad', [float('nan'), float('inf'), np.float16(np.inf), 1e300, '1', None, 1j]
+)
 def test_what_is_no_time(bad: object) -> None:
     scene = moving_scene(0.0)
     for call in (scene.expire, lambda time: scene.update('s', ['car'], BOX, expires=time)):

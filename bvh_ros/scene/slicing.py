@@ -57,8 +57,8 @@ class SlicedUpdates:
         total : int
             Number of rows.
         parts : callable
-            Makes the parts, of at most so many rows each; the next is made when the one before
-            is applied. Called twice if there may be too many: first to see the names.
+            Makes the parts, of so many rows each but the last; the next is made when the one
+            before is applied. Called twice if there may be too many: first to see the names.
         whole : bool
             `replace`, and not only `update`. Until the last slice the scene holds old and new
             obstacles, so up to twice `max_obstacles`; at the end `max_obstacles` holds.

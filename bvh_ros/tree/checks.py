@@ -637,10 +637,10 @@ def whole_ns(name: str, seconds: Floats, given: Any) -> NDArray[np.int64]:
     """Times in s as the nearest whole ns; the array was made of what is given."""
     refuse_mixed(name, given)
     last = LAST_TIME // 10**9
+    # Of a shorter type the limit and the product would be rounded to that type.
+    seconds = seconds.astype(np.promote_types(seconds.dtype, np.float64))
     if not (np.abs(seconds) <= last).all():
         raise ValueError(f'{name} must be finite, and at most {last} s')
-    # Of a shorter type the product would be rounded to that type.
-    seconds = seconds.astype(np.promote_types(seconds.dtype, np.float64))
     whole = np.floor(seconds)  # the rest is exact, and so small that its product is rounded once
     rest = np.rint((seconds - whole) * 1e9).astype(np.int64)
     return np.asarray(whole.astype(np.int64) * 10**9 + rest)

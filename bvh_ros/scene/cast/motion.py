@@ -20,15 +20,18 @@ import numpy as np
 
 from ...tree.access import (
     CLOSEST,
+    DIRECTION,
     INSIDE,
     LARGEST,
     NONE,
     NOT_FINITE,
+    ORIGIN,
     RAY_ROWS,
     ROOT,
     Found,
     end_query,
     entry_points,
+    leaf_box,
     of_row,
     set_ray,
     set_swept_box,
@@ -76,7 +79,7 @@ from .arguments import (
 from .batch import RowHits
 from .boxes import segment_between
 from .exact_ball import merged
-from .query import Hit, enter_obstacle, is_plain_box, no_hit, touch, walk_nodes
+from .query import SWEEP_SLACK, Hit, enter_obstacle, is_plain_box, no_hit, touch, walk_nodes
 from .shapes import COORDINATES, FRAME_SLACK
 
 HALF_A_NANOSECOND = 0.5e-9  # scenes have whole ones, and less apart are but rounded otherwise
@@ -201,15 +204,15 @@ def meet_obstacle(cast, i, course, slot):
         hit, t, face = meet_box(box, course, t_max)
         return Contact(hit and not (rays.skip_inside and face == INSIDE), t, face, EXACT_BOX)
     t, feature, stops, kind = np.inf, np.int64(INSIDE), _time_left(box, course), GOING
-    ray, work = cast.scratch.ray, cast.scratch.work
+    ray = cast.scratch.ray
     if stops >= 0.0:
         ray_in_obstacle_frame(rays, i, box, course.nanoseconds, ray)
         end = min(t_max, stops * (1.0 + NEAR))
-        t, feature = enter_obstacle(world, slot, ray, radius, end, work)
+        t, feature = enter_or_graze(cast, i, slot, radius, end)
     inside = t < np.inf and feature == INSIDE
     if stops < np.inf and not (inside or t < stops * (1.0 - NEAR)):
         ray_in_stopped_frame(rays, i, box, course.left, ray)
-        later, where = enter_obstacle(world, slot, ray, radius, t_max, work)
+        later, where = enter_or_graze(cast, i, slot, radius, t_max)
         stopped = later < t
         if stops >= 0.0:
             stopped &= where != INSIDE and later >= stops * (1.0 - NEAR)
@@ -217,6 +220,39 @@ def meet_obstacle(cast, i, course, slot):
             t, feature, kind = later, where, STOPPED
             inside = where == INSIDE
     return Contact(t < np.inf and not (rays.skip_inside and inside), t, np.int64(feature), kind)
+
+
+@lean_kernel
+def enter_or_graze(cast, i, slot, radius, t_max):
+    """`enter_obstacle` of a row's ray in an obstacle's frame, which is in the scratch. What misses
+    an axis-aligned box, but would not if the ball were larger by what rounding cannot tell apart,
+    touches it, as at other shapes.
+    """
+    world, (ray, _, work) = cast.world, cast.scratch
+    t, feature = np.inf, np.int64(INSIDE)
+    for _ in range(2):
+        t, feature = enter_obstacle(world, slot, ray, radius, t_max, work)
+        is_plain = is_plain_box(world.geometry, world.footprints, slot)
+        if t < np.inf or radius == 0.0 or not is_plain:
+            break
+        lo, hi = leaf_box(world.nodes, world.tight, 2 * slot)
+        radius += _doubt_at_box(ray, cast.rays.origins[i], cast.rays.directions[i], lo, hi, radius)
+    return t, feature
+
+
+@inlined
+def _doubt_at_box(ray, origin, direction, lo, hi, radius):
+    """What rounding cannot tell apart: of the closed form, see `exact_ball`, and of the ray, which
+    was brought into the obstacle's frame from an origin and a direction.
+    """
+    extent, length, largest = radius, 0.0, 0.0
+    for axis in range(ray.shape[1]):
+        here, step = ray[ORIGIN, axis], ray[DIRECTION, axis]
+        extent += max(abs(hi[axis] - here), abs(lo[axis] - here))
+        length += abs(step)
+        largest = max(largest, abs(here), abs(step), abs(origin[axis]), abs(direction[axis]))
+    total = min(extent + min(length, extent), LARGEST)
+    return SWEEP_SLACK * total + 4.0 * COORDINATES * largest
 
 
 @inlined

@@ -307,6 +307,31 @@ def test_order_among_boxes_and_other_shapes(planar):
     assert tied > 9, tied
 
 
+@pytest.mark.parametrize('planar', [False, True], ids=['3D', '2D'])
+def test_a_ball_that_just_touches_a_box_at_a_time(planar):
+    """What a ball at a time may miss by rounding, it meets; all numbers are whole halves."""
+    rng, second = np.random.default_rng(3), 10**9
+    shapes = Shapes.boxes([[0.5, 0.5, 0.5], [-200, 0.5, 0.5], [900, 900, 0]], 1.0)
+    speeds = [[0, 0, 0], [40, 0, 0], [1, 0, 0]]  # the second one stands at -40 after 4 s
+    scene = scene_of(shapes, planar, stamp=0, velocities=speeds)
+    starts = rng.uniform(-6, -1, (200, 3))
+    for face, at in ((0.0, 1), (-40.5, 4)):
+        goals = np.tile([face - 0.5, 0.5, 0.5], (len(starts), 1))
+        ends = starts + np.array([face, 0, 0]), goals
+        for until in (None, at * second):
+            before = at if until is None else at - 1
+            hits = scene.sweep_many(*ends, 0.5, at=before * second, until=until)
+            assert (hits.t <= 1.0).all(), (hits.t > 1.0).sum()
+            assert hits.t.max() > 0.9
+        for start, goal, t in zip(*(rows[:9] for rows in ends), hits.t, strict=False):
+            asked = start, goal, 0.5
+            times = {'at': (at - 1) * second, 'until': at * second}
+            assert scene.raycast(*asked, **times).t == t
+            assert scene.raycast_all(*asked, **times)[0].t == t
+    apart = np.tile([-0.5 - 2.0**-40, 0.5, 0.5], (len(starts), 1))
+    assert np.isinf(scene.sweep_many(starts, apart, 0.5, at=second).t).all()
+
+
 def test_however_far_or_small():
     """A ball's way may be longer than the world, come from afar, and the ball be next to
     nothing.
