@@ -59,8 +59,9 @@ class RayQueries:
             obstacle that contains the start is met at ``t = 0`` with a zero normal; the normal is
             zero as well where the ball's centre is no farther from the obstacle than rounding.
             Among axis-aligned boxes it is decided exactly whether a ray or a ball touches, and
-            which obstacle is first; other shapes touch too where rounding cannot tell, see
-            `cast.shapes`. Ties go to the smaller handle.
+            which obstacle is first. Other shapes touch too where rounding cannot tell, see
+            `cast.shapes`, and so do boxes that a ball meets at a time; but a mesh meets a thin ray
+            exactly in its own frame. Ties go to the smaller handle.
 
         Raises
         ------
