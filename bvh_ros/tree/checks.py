@@ -57,11 +57,10 @@ def rotations(name: str, array: Floats) -> None:
     if len(array) == 1:
         if not are_unit(*array[0].tolist()):
             row = 0
-    else:
-        with np.errstate(over='ignore', invalid='ignore'):
-            wrong = ~are_unit(*array.T)
-        if wrong.any():
-            row = int(wrong.argmax())
+    elif len(array):
+        squares = np.einsum('ij,ij->i', array, array)  # a third of the time of `are_unit`
+        if not (squares.min() >= SHORTEST and squares.max() <= LONGEST):
+            row = int(np.argmin((squares >= SHORTEST) & (squares <= LONGEST)))
     if row >= 0:
         finite(name, array)
         raise ValueError(
