@@ -188,15 +188,16 @@ def validate_rows(
     fields = everyone, slots, records, mesh, lo, hi, masks, stamps, lives
     rows, reasons = tuple.__new__(Rows, fields), Reasons(count)
     good, known = _all_good()(faults, names[1:], slots, owner.of_slot, owner.number)
+    wrong = None
     if speeds is not None and checks.first_not_finite(speeds) >= 0:
-        good = False
+        good, wrong = False, np.logical_not(np.isfinite(speeds).all(axis=1))
     if good and not _refuse_names(names, reasons):
         if known == count:
             return Validated(_NO_ROWS[planar], rows, reasons)
         if known == 0:
             return Validated(rows, _NO_ROWS[planar], reasons)
     else:
-        rows = rows.take(_taken(names, slots, form, owner, speeds, reasons))
+        rows = rows.take(_taken(names, slots, form, owner, wrong, reasons))
     new = rows.slot == UNKNOWN
     return Validated(rows.take(new), rows.take(~new), reasons)
 
@@ -206,14 +207,15 @@ def _taken(
     slots: Slots,
     form: Canonical,
     owner: Owner,
-    speeds: Floats | None,
+    wrong: NDArray[np.bool_] | None,
     reasons: Reasons,
 ) -> NDArray[np.int64]:
-    """Which rows to apply; why the others are refused is added to the reasons."""
+    """Which rows to apply; why the others are refused is added to the reasons. `wrong` are those
+    whose velocity is not finite.
+    """
     for fault in np.unique(form.faults[form.faults != FINE]).tolist():
         reasons.add(form.faults == fault, REASONS[fault])
-    if speeds is not None:
-        wrong = np.logical_not(np.isfinite(speeds).all(axis=1))
+    if wrong is not None:
         reasons.add(wrong, 'its velocity is not finite')
     _refuse_names(names, reasons)
     known = slots != UNKNOWN

@@ -79,7 +79,16 @@ from .arguments import (
 from .batch import RowHits
 from .boxes import segment_between
 from .exact_ball import merged
-from .query import SWEEP_SLACK, Hit, enter_obstacle, is_plain_box, no_hit, touch, walk_nodes
+from .query import (
+    SWEEP_SLACK,
+    Hit,
+    enter_obstacle,
+    is_plain_box,
+    lengths_in_play,
+    no_hit,
+    touch,
+    walk_nodes,
+)
 from .shapes import COORDINATES, FRAME_SLACK
 
 HALF_A_NANOSECOND = 0.5e-9  # scenes have whole ones, and less apart are but rounded otherwise
@@ -245,13 +254,10 @@ def _doubt_at_box(ray, origin, direction, lo, hi, radius):
     """What rounding cannot tell apart: of the closed form, see `exact_ball`, and of the ray, which
     was brought into the obstacle's frame from an origin and a direction.
     """
-    extent, length, largest = radius, 0.0, 0.0
+    largest, total = 0.0, min(lengths_in_play(ray, radius, lo, hi), LARGEST)
     for axis in range(ray.shape[1]):
-        here, step = ray[ORIGIN, axis], ray[DIRECTION, axis]
-        extent += max(abs(hi[axis] - here), abs(lo[axis] - here))
-        length += abs(step)
-        largest = max(largest, abs(here), abs(step), abs(origin[axis]), abs(direction[axis]))
-    total = min(extent + min(length, extent), LARGEST)
+        here, step = abs(ray[ORIGIN, axis]), abs(ray[DIRECTION, axis])
+        largest = max(largest, here, step, abs(origin[axis]), abs(direction[axis]))
     return SWEEP_SLACK * total + 4.0 * COORDINATES * largest
 
 

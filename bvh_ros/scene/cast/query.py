@@ -490,18 +490,25 @@ def drop_late(room, found):
     return count
 
 
+@inlined
+def lengths_in_play(ray, radius, lo, hi):
+    """The sum L of `exact_ball`, for boxes between two corners."""
+    extent, length = radius, 0.0
+    for axis in range(ray.shape[1]):
+        above = abs(hi[axis] - ray[ORIGIN, axis])
+        below = abs(lo[axis] - ray[ORIGIN, axis])
+        extent += max(above, below)
+        length += abs(ray[DIRECTION, axis])
+    return extent + min(length, extent)
+
+
 @lean_kernel
 def slack_of(world, ray, radius):
     """By how much a larger ball is surely early, and a smaller one late."""
     if world.root == NONE:
         return 0.0
-    here, extent, length = world.nodes[world.root], radius, 0.0
-    for axis in range(ray.shape[1]):
-        above = abs(here.hi[axis] - ray[ORIGIN, axis])
-        below = abs(here.lo[axis] - ray[ORIGIN, axis])
-        extent += max(above, below)
-        length += abs(ray[DIRECTION, axis])
-    total = extent + min(length, extent)
+    here = world.nodes[world.root]
+    total = lengths_in_play(ray, radius, here.lo, here.hi)
     return SWEEP_SLACK * total if MINUTE < total < HUGE else np.inf
 
 

@@ -309,7 +309,7 @@ def test_order_among_boxes_and_other_shapes(planar):
 
 @pytest.mark.parametrize('planar', [False, True], ids=['3D', '2D'])
 def test_a_ball_that_just_touches_a_box_at_a_time(planar):
-    """What a ball at a time may miss by rounding, it meets; all numbers are whole halves."""
+    """What a ball at a time may miss by rounding, it meets; it ends at whole halves."""
     rng, second = np.random.default_rng(3), 10**9
     shapes = Shapes.boxes([[0.5, 0.5, 0.5], [-200, 0.5, 0.5], [900, 900, 0]], 1.0)
     speeds = [[0, 0, 0], [40, 0, 0], [1, 0, 0]]  # the second one stands at -40 after 4 s

@@ -15,6 +15,7 @@ SOURCES = ['camera', 'lidar']
 PLAIN = ('a0', 'a1', 'a15', 'a05', 'b', 'a', '', 'error: x', 'a-1', '7')
 WITH_SLASH = ('a1/2', 'a1/3', 'a1/b/2', '/4')
 texts = st.sampled_from(PLAIN + WITH_SLASH)
+names = st.lists(texts, max_size=6)
 numbered = st.tuples(
     st.sampled_from(['a', 'a1', 'a1/', 'a1/b/', '', 'a-', 'error: ', 'c']),
     st.lists(st.integers(-1, 20), max_size=8),
@@ -93,13 +94,7 @@ class Model(RuleBasedStateMachine):
     places = st.lists(coordinates, min_size=1, max_size=4)
     lives = st.sampled_from([0, 5, 9])
 
-    @rule(
-        source=sources,
-        names=st.lists(texts, max_size=6),
-        x=places,
-        expires=lives,
-        moving=st.booleans(),
-    )
+    @rule(source=sources, names=names, x=places, expires=lives, moving=st.booleans())
     def update_texts(self, source, names, x, expires, moving):
         self.apply(source, '', names, x, expires, False, moving)
 
@@ -110,13 +105,7 @@ class Model(RuleBasedStateMachine):
         numbers = Numbered(names[0], np.array(names[1], int))
         self.apply(source, group if whole else '', numbers, x, expires, whole)
 
-    @rule(
-        source=sources,
-        names=st.lists(texts, max_size=6),
-        x=places,
-        group=groups,
-        moving=st.booleans(),
-    )
+    @rule(source=sources, names=names, x=places, group=groups, moving=st.booleans())
     def replace_texts(self, source, names, x, group, moving):
         self.apply(source, group, names, x, 0, True, moving)
 
