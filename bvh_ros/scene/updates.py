@@ -216,6 +216,16 @@ class Sliced:
     shadows: list[Slots] = field(default_factory=list)
 
 
+class Checked(NamedTuple):
+    """Rows of an update, before they are applied."""
+
+    names: Families
+    slots: Slots
+    valid: Validated
+    speeds: Floats | None
+    """Velocities that are given, along the tree's axes."""
+
+
 class Updates:
     """Adds and modifies obstacles. Knows which replacements are under way: what they still bring
     has its room.
@@ -315,8 +325,8 @@ class Updates:
         """Apply rows; all that the message has if `whole`, a part of what is `sliced`."""
         store = self._store
         text('source', source), text('group', group)
-        names, slots, valid, speeds = self._validated(source, part)
-        reach = None
+        rows, reach = self._checked(source, part), None
+        names, slots, valid, speeds = rows.names, rows.slots, rows.valid, rows.speeds
         if part.velocities is not None:
             if speeds is None:
                 follow: Any = part.velocities
@@ -347,10 +357,8 @@ class Updates:
             (sliced or store).newest = newest
         return valid.reasons.refusals(names.text)
 
-    def _validated(
-        self, source: str, part: Part
-    ) -> tuple[Families, Slots, Validated, Floats | None]:
-        """Names of the rows, their slots, what can be applied, and velocities that are given."""
+    def _checked(self, source: str, part: Part) -> Checked:
+        """What is known of the rows, and which of them can be applied."""
         store = self._store
         store.change.require_none()
         self.remove_orphans()
@@ -367,7 +375,7 @@ class Updates:
         valid = validate_rows(names, shapes, slots, owner, part[2:5], speeds, store.planar)
         if speeds is not None:
             speeds = np.ascontiguousarray(speeds[:, : store.tree.ndim])
-        return names, slots, valid, speeds
+        return Checked(names, slots, valid, speeds)
 
     def _fitting(self, added: Rows, room: int, valid: Validated, names: Families) -> Rows:
         """New obstacles that there is room for; where the message brings no masks, with those that
