@@ -332,6 +332,14 @@ def test_a_ball_that_just_touches_a_box_at_a_time(planar):
     assert np.isinf(scene.sweep_many(starts, apart, 0.5, at=second).t).all()
 
 
+def test_a_ball_at_an_obstacle_that_was_beyond_all_doubles():
+    """The obstacle's own frame has no place for the point that it touches."""
+    scene = scene_of(Shapes.boxes([[0, 0, 0]], 1.0), stamp=0, velocities=[[1e300, 0, 0]])
+    hit = scene.raycast([-5, 0, 0], [5, 0, 0], 0.5, at=-1e9, until=1e9)
+    assert hit is not None
+    assert np.isfinite(hit.point).all()
+
+
 def test_however_far_or_small():
     """A ball's way may be longer than the world, come from afar, and the ball be next to
     nothing.
