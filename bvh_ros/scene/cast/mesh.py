@@ -110,30 +110,45 @@ def come_near(radius, ray):
     return begin
 
 
-@lean_kernel
+@inlined
 def touch_mesh(hulls, shape, given, hit, point, normal, triangle):
-    """Fill in the point, normal and triangle of a thin ray's hit, as `contact.contact`."""
-    (t, feature), local = hit, stack_array((RAY_ROWS, 3), np.float64)
-    clear_triangle(triangle)
-    for axis in range(3):
-        point[axis], normal[axis] = given[ORIGIN, axis] + t * given[DIRECTION, axis], 0.0
+    """Fill in the point, normal and triangle of a thin ray's hit, as `contact.contact`.
+
+    It is inlined: to hand over the arrays of all meshes takes as long as the rest.
+    """
+    t, feature = hit
     if feature < FACE:
-        return
-    span, face, along = hulls.spans[shape.mesh], feature - FACE, 0.0
-    number, vertices = span.faces[0] + face, hulls.vertices[span.vertices[0] : span.vertices[1]]
-    exponent, _ = into_frame(span.radius, shape, given, local)
-    outwards, s = hulls.normals[number], ldexp(t, -exponent)
+        clear_triangle(triangle)
+        for axis in range(3):
+            point[axis], normal[axis] = given[ORIGIN, axis] + t * given[DIRECTION, axis], 0.0
+    else:
+        span = hulls.spans[shape.mesh]
+        number, vertices = span.faces[0] + feature - FACE, hulls.vertices[span.vertices[0] :]
+        face = vertices, hulls.corners[number], hulls.rows[number]
+        for axis in range(3):
+            normal[axis] = hulls.normals[number, axis]
+        touch_face(face, span.radius, span.form, shape, given, t, point, normal, triangle)
+
+
+@lean_kernel
+def touch_face(face, radius, form, shape, given, t, point, normal, triangle):
+    """`touch_mesh` of a ray that hits a triangle, face = (vertices, its corners, its row), whose
+    normal in the frame of the mesh is given.
+    """
+    (vertices, corner, row), local = face, stack_array((RAY_ROWS, 3), np.float64)
+    exponent, _ = into_frame(radius, shape, given, local)
+    along, s = 0.0, ldexp(t, -exponent)
     for axis in range(3):
-        along += outwards[axis] * local[DIRECTION, axis]
+        point[axis] = given[ORIGIN, axis] + t * given[DIRECTION, axis]
+        along += normal[axis] * local[DIRECTION, axis]
         local[ORIGIN, axis] += s * local[DIRECTION, axis]
-    # Of a convex mesh they point outwards already.
-    sign = -1.0 if along > 0.0 and span.form != CONVEX else 1.0
-    for axis in range(3):
-        normal[axis] = sign * outwards[axis]
+    if along > 0.0 and form != CONVEX:  # those of a convex mesh point outwards already
+        for axis in range(3):
+            normal[axis] = -normal[axis]
     rotate(shape.orientation, normal, 1.0)
     if triangle is not None:
-        u, v = coordinates_in(vertices, hulls.corners[number], local[ORIGIN])
-        triangle[0], triangle[1], triangle[2] = hulls.rows[number], u, v
+        u, v = coordinates_in(vertices, corner, local[ORIGIN])
+        triangle[0], triangle[1], triangle[2] = row, u, v
 
 
 # ---- balls

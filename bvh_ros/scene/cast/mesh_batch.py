@@ -44,7 +44,7 @@ from ..shapes.hull import form_of, surface_of
 from ..shapes.mesh import SHELL
 from ..shapes.shape import MESH, ldexp
 from ..shapes.surface import CLOSE, crosses_first, first_crossing, holds_point
-from ..shapes.triangles32 import LINE, fill_line
+from ..shapes.triangles32 import DEPTHS, LINE, fill_line
 from .arguments import SCRATCH, CastWorld, Hits, scratch_in
 from .mesh import come_near, into_frame, time_in
 from .query import (
@@ -83,7 +83,10 @@ class Room(NamedTuple):
     """(TOGETHER,), and (TOGETHER, LINE) `lines32`: see `triangles32.fill_line`."""
     lines32: Any
     deferred: Any
-    """(MOST_WAITING,): a triangle, and in the lower half the place of a line that may cross it."""
+    """(MOST_WAITING,): a triangle, and in the lower half twice the place of a line that may cross
+    it, and 1 where it surely does so after its origin."""
+    depths: Any
+    """(MOST_WAITING,): how far the line goes at least until then, in the snapshot's units."""
     stream: Any
     """`tree.batch.streams.Scratch`."""
 
@@ -101,6 +104,7 @@ def make_room(depth: int) -> Room:
         np.empty(TOGETHER, np.int64),
         np.empty((TOGETHER, LINE), np.float32),
         np.empty(MOST_WAITING, np.int64),
+        np.empty(MOST_WAITING, np.float32),
         make_scratch(TOGETHER, 3, depth),
     )
 
@@ -187,8 +191,8 @@ class Lines(NamedTuple):
 @inlined
 def take_triangles(wide, surface, node, listed, rays, stream, tally, hit_lanes):
     """For `traverse`: let the lines wait that may cross triangles of a wide node."""
-    (_, places), leaves, depths = listed, leaves_of(wide, node), stack_array(WIDTH, np.float32)
-    room = rays.room
+    (_, places), leaves, room = listed, leaves_of(wide, node), rays.room
+    depths = stack_array(DEPTHS, np.float32)
     others = np.uint32(hit_lanes & ~leaves)
     if others != hit_lanes:
         for i in range(places.shape[0]):
@@ -199,11 +203,15 @@ def take_triangles(wide, surface, node, listed, rays, stream, tally, hit_lanes):
             record = stream.records[k]
             while lanes != np.uint32(0):
                 lane = np.int64(trailing_zeros(lanes))
-                face = ~np.int64(wide.children[node * WIDTH + lane])
-                record.limit = min(record.limit, depths[lane])
                 lanes = without_lowest(lanes)
+                most, least = depths[lane], depths[WIDTH + lane]
+                if least > record.limit:
+                    continue
+                record.limit = min(record.limit, most)
+                face, is_sure = ~np.int64(wide.children[node * WIDTH + lane]), most < np.inf
                 prefetch(surface.corners, 3 * face, 1)
-                room.deferred[tally[WAITING]] = face << 32 | np.int64(k)
+                room.deferred[tally[WAITING]] = face << 32 | np.int64(k) << 1 | is_sure
+                room.depths[tally[WAITING]] = least
                 tally[WAITING] += 1
                 if tally[WAITING] == room.deferred.shape[0]:
                     decide_deferred(surface, rays, tally)
@@ -216,6 +224,12 @@ def take_triangles(wide, surface, node, listed, rays, stream, tally, hit_lanes):
     return others
 
 
+@inlined
+def unpack(pair):
+    """The triangle, the line's place, and whether it is sure, of `Room.deferred`."""
+    return pair >> 32, (pair & 0xFFFFFFFF) >> 1, pair & 1 != 0
+
+
 @lean_kernel
 def decide_deferred(surface, rays, tally):
     """See of the triangles that lines may cross which are the first ones."""
@@ -224,10 +238,12 @@ def decide_deferred(surface, rays, tally):
         ahead = room.deferred[min(i + AHEAD, tally[WAITING] - 1)] >> 32
         for number in range(3):
             prefetch(surface.vertices, 3 * np.int64(surface.corners[ahead, number]), 1)
-        face, k = room.deferred[i] >> 32, room.deferred[i] & 0xFFFFFFFF
+        face, k, is_sure = unpack(room.deferred[i])
         best, line = room.stream.records[k], (room.lines[k, 0], room.lines[k, 1], rays.zero)
+        if room.depths[i] > best.limit:
+            continue
         before = (best.best_t if best.slot != NONE else np.inf), np.int64(best.slot)
-        first, s = crosses_first(surface, line, face, room.ends[k, 2], before)
+        first, s = crosses_first(surface, line, face, is_sure, room.ends[k, 2], before)
         if first:
             best.slot, best.best_t = face, s
             best.limit = min(best.limit, limit32(s, best.unit))

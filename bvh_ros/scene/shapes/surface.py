@@ -527,22 +527,27 @@ class First(NamedTuple):
 @inlined
 def _visit_first(surface, ray, face, zero, found):
     line, best = (ray[ORIGIN], ray[DIRECTION], zero), (found.s, found.face)
-    first, s = crosses_first(surface, line, face, found.reach, best)
+    first, s = crosses_first(surface, line, face, False, found.reach, best)
     if first:
         found = First(s, face, found.reach)
     return found, min(found.s, found.reach) * (1.0 + CLOSE)
 
 
 @inlined
-def crosses_first(surface, line, face, reach, best):
+def crosses_first(surface, line, face, is_sure, reach, best):
     """(Whether a line, (origin, direction, zero vector), crosses a triangle up to a distance and
-    before the best one, (s, row), or (inf, NONE); where).
+    before the best one, (s, row), or (inf, NONE); where). `is_sure`: it surely crosses the
+    triangle, and after its origin.
     """
-    corner = surface.corners[face]
-    crossing = cross_triangle(surface.vertices, corner, *line)
+    vertices, corner = surface.vertices, surface.corners[face]
+    if is_sure:
+        a, b, c = vertices[corner[0]], vertices[corner[1]], vertices[corner[2]]
+        crossing = Crossing(distance_along(a, b, c, *line), 1.0, True)
+    else:
+        crossing = cross_triangle(vertices, corner, *line)
     first = crossing.s < np.inf and is_before(surface, line, (crossing.s, face), best)
     if first:
-        first = is_within(surface.vertices, corner, *line, crossing, reach)
+        first = is_within(vertices, corner, *line, crossing, reach)
     return first, crossing.s
 
 

@@ -365,6 +365,7 @@ def meet_touched(snapshot, query, node, nearest):
 # 2**-16 m + 2**-38.
 
 LINE = 7  # numbers of a line
+DEPTHS = 2 * WIDTH  # of `crossed16`
 BEYOND = 2.0**-21  # of 1 and where a line begins: more than what rounds a depth
 
 
@@ -401,5 +402,5 @@ def meet_crossed(snapshot, query, node, nearest):
     lanes, leaves = meet_ray(snapshot, ray, node, nearest), leaves_of(snapshot, node)
     if np.uint32(lanes & leaves) == np.uint32(0):
         return lanes
-    depths = stack_array(WIDTH, np.float32)
+    depths = stack_array(DEPTHS, np.float32)
     return np.uint32(lanes & (crossed16(snapshot.triangles, node, axis, line, depths) | ~leaves))

@@ -234,8 +234,9 @@ def above16(typingctx, planes, node, plane):
 @intrinsic
 def crossed16(typingctx, triangles, node, axis, line, depths):
     """Bit mask of the sixteen triangles of a wide node that a line may cross; `depths` becomes how
-    far it goes at most until it crosses each, inf where it may not do so after its origin.
-    `triangles32` tells what a line is, (7,) float32, and bounds the rounding.
+    far it goes at most until it crosses each, inf where it may not do so after its origin; and
+    behind that how far at least. `triangles32` tells what a line is, (7,) float32, and bounds the
+    rounding.
     """
     sig = types.uint32(triangles, types.int64, types.int64, line, depths)
 
@@ -285,8 +286,10 @@ def crossed16(typingctx, triangles, node, axis, line, depths):
         sure = builder.and_(sure, builder.fcmp_ordered('>', most('<', forward), pad))
         beyond = builder.fadd(most('>', forward), pad)
         beyond = builder.select(sure, beyond, ir.Constant(_WIDE, [float('inf')] * WIDTH))
-        out = builder.bitcast(part(4, index(0), index(WIDTH)), _WIDE.as_pointer())
-        builder.store(beyond, out, align=4)
+        least = builder.fsub(most('<', forward), pad)
+        for number, depth in enumerate((beyond, least)):
+            out = builder.bitcast(part(4, index(number * WIDTH), index(WIDTH)), _WIDE.as_pointer())
+            builder.store(depth, out, align=4)
         crossed = builder.not_(builder.and_(below, above))
         return builder.zext(builder.bitcast(crossed, ir.IntType(WIDTH)), _INT)
 
