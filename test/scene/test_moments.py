@@ -3,6 +3,7 @@
 """Rays and swept balls while obstacles move: as each obstacle, alone, sees them from its place."""
 
 import math
+from fractions import Fraction
 
 import numpy as np
 import pytest
@@ -200,3 +201,70 @@ def test_a_scene_tells_exactly_who_is_met_first():
     hits = scene.raycast_all([0, 0, 0], [4, 0, 0], at=0, until=10**9)
     assert [hit.name for hit in hits] == ['comes', 'rests']
     assert hits[0].t == hits[1].t == 0.25
+
+
+SOLIDS = {
+    'sphere': lambda place, size: Shapes.spheres([place], size),
+    'capsule': lambda place, size: Shapes.capsules([place], size, 2 * size + 2),
+    'cylinder': lambda place, size: Shapes.cylinders([place], size, 2.0),
+    'turned box': lambda place, size: Shapes.boxes([place], [2 * size] * 3, [(0, 0, 0.6, 0.8)]),
+    'box': lambda place, size: Shapes.boxes([place], [2 * size] * 3),
+}
+OUTWARDS = {  # the normal of a side, in rational numbers
+    'turned box': (Fraction(7, 25), Fraction(24, 25)),
+    'box': (Fraction(1), Fraction(0)),
+}
+
+
+@pytest.mark.parametrize('planar', [False, True])
+@pytest.mark.parametrize('kind', list(SOLIDS))
+def test_a_ray_hits_what_its_end_touches_however_far_it_went(kind: str, planar: bool):
+    """Rays that end on the surface to the last digit, at shapes that have gone up to 10,000 km."""
+    rng, asked = np.random.default_rng(5), 0
+    outwards = OUTWARDS.get(kind, (Fraction(3, 5), Fraction(4, 5)))
+    for _ in range(150):
+        size, radius = rng.choice([0.1, 0.5, 1.0]), rng.choice([0.0, 0.25, 1.0])
+        place, velocity = rng.uniform(-5, 5, 3), rng.uniform(-1, 1, 3) * 10 ** rng.uniform(0, 3)
+        at = int(rng.choice([SECOND, 333_333_333, 123_456_789_012, 10_000 * SECOND]))
+        gone = [Fraction(place[k]) + Fraction(velocity[k]) * at / SECOND for k in range(3)]
+        if kind == 'box' and radius == 0.0:
+            radius = 0.25  # thin rays at boxes are exact
+        ends = np.array([gone, gone], dtype=float)
+        for axis in range(2):
+            for row, more in enumerate((2, 0)):
+                off = Fraction(size) + Fraction(radius) + more
+                ends[row, axis] = float(gone[axis] + outwards[axis] * off)
+        start, goal = ends
+        if any(
+            Fraction(goal[k] - start[k]) != Fraction(goal[k]) - Fraction(start[k])
+            for k in range(3)
+        ):
+            continue  # its direction would be rounded
+        scene = scene_of(
+            SOLIDS[kind](place, size), planar=planar, names=['it'], stamp=0, velocities=[velocity]
+        )
+        if not scene.overlap(goal, goal, tolerance=radius, at=at):
+            continue
+        asked += 1
+        for times in ({'at': at}, {'at': at - SECOND, 'until': at}):
+            assert scene.raycast(start, goal, radius, **times) is not None
+            assert len(scene.raycast_all(start, goal, radius, **times)) == 1
+            for rows in (1, 64):
+                many = scene.sweep_many([start] * rows, [goal] * rows, radius, **times)
+                assert np.isfinite(many.t).all()
+    assert asked > 20
+
+
+@pytest.mark.parametrize('radius', [0.0, 0.5])
+@pytest.mark.parametrize('kind', list(SOLIDS))
+def test_what_goes_farther_than_all_doubles_is_not_passed(kind: str, radius: float):
+    for velocity in (1e307, 1e308):
+        scene = scene_of(
+            SOLIDS[kind](np.zeros(3), 1.0), names=['it'], stamp=0, velocities=[[velocity, 0, 0]]
+        )
+        for start, goal in (([0, 0, 0], [10, 0, 0]), ([5, 0, 0], [6, 0, 0])):
+            hit = scene.raycast(start, goal, radius, at=0, until=10 * SECOND)
+            assert hit is not None
+            assert hit.t < 1e-306
+            many = scene.sweep_many([start], [goal], radius, at=0, until=10 * SECOND)
+            assert many.t[0] == hit.t

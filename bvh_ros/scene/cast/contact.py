@@ -33,9 +33,9 @@ from .shapes import (
 
 
 @lean_kernel
-def to_frame(shape, lo, hi, ray, radius, local):
+def to_frame(shape, pair, radius, local):
     """Fill `local` with origin and unit direction in the shape's frame."""
-    largest, size = 0.0, radius
+    (ray, lo, hi, doubt), largest, size = pair, 0.0, radius
     for axis in range(3):
         largest = max(largest, abs(ray[ORIGIN, axis]))
         if shape.shaped:
@@ -54,7 +54,8 @@ def to_frame(shape, lo, hi, ray, radius, local):
     if shape.shaped and shape.kind != SPHERE:
         rotate(shape.orientation, local[0], -1.0)
         rotate(shape.orientation, local[1], -1.0)
-    return Frame(pace, scale, FRAME_SLACK * size + COORDINATES * (largest * scale))
+    slack = FRAME_SLACK * size + COORDINATES * (largest * scale) + doubt * scale
+    return Frame(pace, scale, slack)
 
 
 @lean_kernel
@@ -63,16 +64,18 @@ def enter_shape(shape, hulls, pair, radius, t_max, work):
     never.
 
     t is in units of the ray's direction. What misses, but would not if the shape were larger by
-    the frame's slack, touches: so rounding makes no hit a miss.
+    the frame's slack, touches: so rounding makes no hit a miss. An axis-aligned box is larger by
+    the doubt of the pair alone.
     """
-    ray, lo, hi = pair
+    ray, lo, hi, doubt = pair
     if not shape.shaped and radius == 0.0:
         hit, t, axis = intersect_exact(lo, hi, ray, t_max)
         return (t if hit else np.inf), axis
     frame = Frame(1.0, 1.0, 0.0)  # a thin ray meets a mesh in the mesh's own frame
     if shape.kind != MESH or radius > 0.0:
-        frame = to_frame(shape, lo, hi, ray, radius, work)
-    scale, slack = frame.scale, frame.slack
+        frame = to_frame(shape, pair, radius, work)
+    scale = frame.scale
+    slack = frame.slack if shape.shaped else doubt * scale
     reach, ball, half = reach_of(t_max, frame.pace), radius * scale, shape.half
     s, feature = np.inf, np.int64(INSIDE)
     if shape.kind == CYLINDER and ball > 0.0:
@@ -80,7 +83,7 @@ def enter_shape(shape, hulls, pair, radius, t_max, work):
         s, feature = enter_rounded_cylinder(base, height, ball, reach, slack, work)
     elif shape.kind != MESH:
         s, feature = enter_form(shape, lo, hi, scale, ball, 0.0, reach, work)
-        if s == np.inf and shape.shaped:
+        if s == np.inf and slack > 0.0:
             s, feature = enter_form(shape, lo, hi, scale, ball, slack, reach, work)
     elif hulls is not None:  # last: compiled meanwhile in another process, see `compile_jobs`
         return enter_mesh(hulls, shape, frame, pair, ball, t_max, work)
@@ -168,9 +171,9 @@ def touch_shape(shape, hulls, pair, hit, radius, work, point, normal):
     The normal of a ball is zero where its centre is in the obstacle, or no farther from it than
     rounding: there it would be noise.
     """
-    ray, lo, hi = pair
+    ray, lo, hi, _ = pair
     t, feature = hit
-    frame = to_frame(shape, lo, hi, ray, radius, work)
+    frame = to_frame(shape, pair, radius, work)
     s = t * frame.pace if t > 0.0 else 0.0
     centre, direction, closest, outward, scale = work[0], work[1], work[2], work[3], frame.scale
     noise = frame.slack + FRAME_SLACK * s

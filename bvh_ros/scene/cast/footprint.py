@@ -88,9 +88,10 @@ approach_oval = approach_by(measure_oval)
 
 
 @lean_kernel
-def to_centre(footprint, lo, hi, ray, radius, local):
+def to_centre(footprint, pair, radius, local):
     """Fill `local` with origin and unit direction as seen from the centre; return the `Frame`."""
-    largest, size = 0.0, max(radius, footprint.largest if footprint.shaped else 0.0)
+    (ray, lo, hi, doubt), largest = pair, 0.0
+    size = max(radius, footprint.largest if footprint.shaped else 0.0)
     for axis in range(2):
         largest = max(largest, abs(ray[ORIGIN, axis]), abs(lo[axis]), abs(hi[axis]))
         size = max(size, hi[axis] * 0.5 - lo[axis] * 0.5)
@@ -102,17 +103,18 @@ def to_centre(footprint, lo, hi, ray, radius, local):
             local[0, axis] -= footprint.centre[axis] * scale
         size = max(size, abs(local[0, axis]))
     pace = point_along(ray, scale, local[1, :2])
-    return Frame(pace, scale, FRAME_SLACK * size + COORDINATES * (largest * scale))
+    slack = FRAME_SLACK * size + COORDINATES * (largest * scale) + doubt * scale
+    return Frame(pace, scale, slack)
 
 
 @lean_kernel
 def enter_convex(footprint, hulls, pair, radius, t_max, work):
     """`enter_footprint` of a convex one."""
-    ray, lo, hi = pair
+    ray, lo, hi, doubt = pair
     if not footprint.shaped and radius == 0.0:
         hit, t, axis = intersect_exact(lo, hi, ray, t_max)
         return (t if hit else np.inf), axis
-    frame = to_centre(footprint, lo, hi, ray, radius, work)
+    frame = to_centre(footprint, pair, radius, work)
     origin, direction, ball = work[0, :2], work[1, :2], radius * frame.scale
     reach = reach_of(t_max, frame.pace)
     if not footprint.shaped:
@@ -120,6 +122,9 @@ def enter_convex(footprint, hulls, pair, radius, t_max, work):
         for axis in range(2):
             low[axis], high[axis] = lo[axis] * frame.scale, hi[axis] * frame.scale
         s, feature = enter_rounded_box(origin, direction, low, high, ball, reach)
+        if s == np.inf and doubt > 0.0:
+            ball += doubt * frame.scale
+            s, feature = enter_rounded_box(origin, direction, low, high, ball, reach)
     elif footprint.oval and ball > 0.0:
         s, feature = enter_rounded_oval(footprint, frame, ball, reach, work)
     elif ball + footprint.radius > 0.0:
@@ -254,7 +259,7 @@ def enter_shadows(footprint, hulls, pair, radius, t_max, work):
     surface = shadows_of(footprint, hulls)
     if radius == 0.0:
         return enter_thin_shadows(surface, footprint, pair, t_max)
-    frame = to_centre(footprint, pair.lo, pair.hi, pair.ray, radius, work)
+    frame = to_centre(footprint, pair, radius, work)
     ball, reach, s = radius * frame.scale, reach_of(t_max, frame.pace), np.inf
     work[0, 2] = work[1, 2] = 0.0
     gap = closest_on_core(footprint, hulls, frame.scale, work[0, :2], work[2, :2])
@@ -346,9 +351,9 @@ def touch_footprint(footprint, hulls, pair, hit, radius, work, point, normal):
     The normal of a disc is zero where its centre is in the footprint, or no farther from it than
     rounding: there it would be noise.
     """
-    ray, lo, hi = pair
+    ray, lo, hi, _ = pair
     t, feature = hit
-    frame = to_centre(footprint, lo, hi, ray, radius, work)
+    frame = to_centre(footprint, pair, radius, work)
     s = t * frame.pace if t > 0.0 else 0.0
     centre, direction, closest, scale = work[0, :2], work[1, :2], work[2, :2], frame.scale
     noise = frame.slack + FRAME_SLACK * s

@@ -20,18 +20,15 @@ import numpy as np
 
 from ...tree.access import (
     CLOSEST,
-    DIRECTION,
     INSIDE,
     LARGEST,
     NONE,
     NOT_FINITE,
-    ORIGIN,
     RAY_ROWS,
     ROOT,
     Found,
     end_query,
     entry_points,
-    leaf_box,
     of_row,
     set_ray,
     set_swept_box,
@@ -215,13 +212,13 @@ def meet_obstacle(cast, i, course, slot):
     t, feature, stops, kind = np.inf, np.int64(INSIDE), _time_left(box, course), GOING
     ray = cast.scratch.ray
     if stops >= 0.0:
-        ray_in_obstacle_frame(rays, i, box, course.nanoseconds, ray)
+        doubt = ray_in_obstacle_frame(cast, i, slot, box, radius)
         end = min(t_max, stops * (1.0 + NEAR))
-        t, feature = enter_or_graze(cast, i, slot, radius, end)
+        t, feature = enter_obstacle(world, slot, ray, doubt, radius, end, cast.scratch.work)
     inside = t < np.inf and feature == INSIDE
     if stops < np.inf and not (inside or t < stops * (1.0 - NEAR)):
-        ray_in_stopped_frame(rays, i, box, course.left, ray)
-        later, where = enter_or_graze(cast, i, slot, radius, t_max)
+        doubt = ray_in_stopped_frame(cast, i, slot, box, radius)
+        later, where = enter_obstacle(world, slot, ray, doubt, radius, t_max, cast.scratch.work)
         stopped = later < t
         if stops >= 0.0:
             stopped &= where != INSIDE and later >= stops * (1.0 - NEAR)
@@ -229,36 +226,6 @@ def meet_obstacle(cast, i, course, slot):
             t, feature, kind = later, where, STOPPED
             inside = where == INSIDE
     return Contact(t < np.inf and not (rays.skip_inside and inside), t, np.int64(feature), kind)
-
-
-@lean_kernel
-def enter_or_graze(cast, i, slot, radius, t_max):
-    """`enter_obstacle` of a row's ray in an obstacle's frame, which is in the scratch. What misses
-    an axis-aligned box, but would not if the ball were larger by what rounding cannot tell apart,
-    touches it, as at other shapes.
-    """
-    world, (ray, _, work) = cast.world, cast.scratch
-    t, feature = np.inf, np.int64(INSIDE)
-    for _ in range(2):
-        t, feature = enter_obstacle(world, slot, ray, radius, t_max, work)
-        is_plain = is_plain_box(world.geometry, world.footprints, slot)
-        if t < np.inf or radius == 0.0 or not is_plain:
-            break
-        lo, hi = leaf_box(world.nodes, world.tight, 2 * slot)
-        radius += _doubt_at_box(ray, cast.rays.origins[i], cast.rays.directions[i], lo, hi, radius)
-    return t, feature
-
-
-@inlined
-def _doubt_at_box(ray, origin, direction, lo, hi, radius):
-    """What rounding cannot tell apart: of the closed form, see `exact_ball`, and of the ray, which
-    was brought into the obstacle's frame from an origin and a direction.
-    """
-    largest, total = 0.0, min(lengths_in_play(ray, radius, lo, hi), LARGEST)
-    for axis in range(ray.shape[1]):
-        here, step = abs(ray[ORIGIN, axis]), abs(ray[DIRECTION, axis])
-        largest = max(largest, here, step, abs(origin[axis]), abs(direction[axis]))
-    return SWEEP_SLACK * total + 4.0 * COORDINATES * largest
 
 
 @inlined
@@ -285,24 +252,50 @@ def growth_of(rays, i, box):
 
 
 @inlined
-def ray_in_obstacle_frame(rays, i, box, nanoseconds, ray):
-    """Fill in the ray in the frame of an obstacle that moves; its ends are rounded once."""
-    _, _, velocity, reference = box
-    ends, ndim = stack_array((2, 3), np.float64), rays.origins.shape[1]
-    since, _ = elapsed(of_row(rays.at, i), reference, nanoseconds)
-    for axis in range(ndim):
-        ends[0, axis] = rays.origins[i, axis] - velocity[axis] * since
-        ends[1, axis] = rays.directions[i, axis] - velocity[axis] * of_row(rays.pace, i)
-    set_ray(ray, ends[0, :ndim], ends[1, :ndim])
+def ray_in_obstacle_frame(cast, i, slot, box, radius):
+    """Write a row's ray in the frame of an obstacle that moves to the scratch; return by how much
+    rounding may have moved it, see `RayAndBox`.
+    """
+    since, _ = elapsed(of_row(cast.rays.at, i), box[3], cast.moving.nanoseconds)
+    return _ray_seen_from(cast, i, slot, box, (since, of_row(cast.rays.pace, i)), radius)
 
 
 @inlined
-def ray_in_stopped_frame(rays, i, box, left, ray):
+def ray_in_stopped_frame(cast, i, slot, box, radius):
     """The same for an obstacle that has come to rest."""
-    origin, ndim = stack_array(3, np.float64), rays.origins.shape[1]
+    return _ray_seen_from(cast, i, slot, box, (cast.moving.left, 0.0), radius)
+
+
+@inlined
+def _ray_seen_from(cast, i, slot, box, seconds, radius):
+    """`see_ray` of a row, seconds = how long an obstacle has gone, and goes a unit of t."""
+    rays, world, given = cast.rays, cast.world, (cast.rays.origins[i], cast.rays.directions[i])
+    is_plain, t_max = is_plain_box(world.geometry, world.footprints, slot), of_row(rays.t_max, i)
+    return see_ray(given, box, seconds, t_max, radius, is_plain, cast.scratch.ray)
+
+
+@lean_kernel
+def see_ray(given, box, seconds, t_max, radius, is_plain, ray):
+    """Write a ray, (origin, direction), as an obstacle that moves sees it; return by how much
+    rounding may have moved it until it is past the obstacle. Of an axis-aligned box, which only a
+    ball meets here, that counts also what rounds the closed form, see `exact_ball`.
+    """
+    (origin, direction), (lo, hi, velocity, _), (since, pace) = given, box, seconds
+    ends, ndim = stack_array((2, 3), np.float64), origin.shape[0]
+    largest, fastest, slowest = 0.0, 0.0, 0.0
     for axis in range(ndim):
-        origin[axis] = rays.origins[i, axis] - box[2][axis] * left
-    set_ray(ray, origin[:ndim], rays.directions[i])
+        gone, step = velocity[axis] * since, velocity[axis] * pace
+        ends[0, axis] = min(max(origin[axis] - gone, -LARGEST), LARGEST)
+        ends[1, axis] = min(max(direction[axis] - step, -LARGEST), LARGEST)
+        largest = max(largest, abs(origin[axis]), abs(gone))
+        fastest = max(fastest, abs(direction[axis]), abs(step))
+        slowest = max(slowest, abs(ends[1, axis]))
+    set_ray(ray, ends[0, :ndim], ends[1, :ndim])
+    total = min(lengths_in_play(ray, radius, lo, hi), LARGEST)
+    if pace > 0.0 and slowest > 0.0:
+        largest = max(largest, min(fastest, LARGEST) * min(t_max, total / slowest))
+    doubt = 4.0 * COORDINATES * min(largest, LARGEST)
+    return doubt + SWEEP_SLACK * total if is_plain else doubt
 
 
 @inlined
@@ -435,13 +428,14 @@ def _touch_moving(cast, i, hit, stopped, point, normal, triangle):
     rays, moving, scratch = cast.rays, cast.moving, cast.scratch
     box, at = box_of(cast.tree, moving, hit.slot), of_row(rays.at, i)
     grown, center = growth_of(rays, i, box), rays.origins[i]
+    radius = of_row(rays.radii, i) + grown
     since = elapsed(at, box[3], moving.nanoseconds)[0] + hit.t * of_row(rays.pace, i)
     if stopped:
         since = moving.left
-        ray_in_stopped_frame(rays, i, box, moving.left, scratch.ray)
+        doubt = ray_in_stopped_frame(cast, i, hit.slot, box, radius)
     else:
-        ray_in_obstacle_frame(rays, i, box, moving.nanoseconds, scratch.ray)
-    touch(cast.world, scratch, of_row(rays.radii, i) + grown, hit, point, normal, triangle)
+        doubt = ray_in_obstacle_frame(cast, i, hit.slot, box, radius)
+    touch(cast.world, scratch, doubt, radius, hit, point, normal, triangle)
     for axis in range(box[2].shape[0]):
         point[axis] += box[2][axis] * since
     for axis in range(3):

@@ -134,10 +134,12 @@ def is_plain_box(geometry, footprints, slot):
 
 
 @inlined
-def enter_obstacle(world, slot, ray, radius, t_max, work):
-    """(t, feature) at which a ray, radius 0, or a ball meets an obstacle; t inf if never."""
+def enter_obstacle(world, slot, ray, doubt, radius, t_max, work):
+    """(t, feature) at which a ray, radius 0, or a ball meets an obstacle; t inf if never. `doubt`
+    as of `RayAndBox`.
+    """
     lo, hi = leaf_box(world.nodes, world.tight, 2 * slot)
-    pair = RayAndBox(ray, lo, hi)
+    pair = RayAndBox(ray, lo, hi, doubt)
     return enter_any(world.geometry, world.footprints, slot, pair, radius, t_max, work)
 
 
@@ -152,12 +154,12 @@ def enter_any(geometry, footprints, slot, pair, radius, t_max, work):
 
 
 @inlined
-def touch(world, scratch, radius, hit, point, normal, triangle):
+def touch(world, scratch, doubt, radius, hit, point, normal, triangle):
     """Fill in where a ray or ball meets an obstacle, the outward normal there, and the triangle, a
-    row of `room_for_triangles`, or None.
+    row of `room_for_triangles`, or None. `doubt` as of `RayAndBox`.
     """
     lo, hi = leaf_box(world.nodes, world.tight, 2 * hit.slot)
-    pair, out = RayAndBox(scratch.ray, lo, hi), (point, normal)
+    pair, out = RayAndBox(scratch.ray, lo, hi, doubt), (point, normal)
     at, work = (hit.t, hit.feature), scratch.work
     touch_any(world.geometry, world.footprints, hit.slot, pair, at, radius, work, out, triangle)
 
@@ -203,7 +205,7 @@ def enter_thrice(world, slot, ray, path, query, work, found):
         if i > 0 and not is_plain:
             ts[i], features[i] = ts[0], features[0]
         elif radii[i] > 0.0:
-            ts[i], features[i] = enter_obstacle(world, slot, ray, radii[i], 1.0, work)
+            ts[i], features[i] = enter_obstacle(world, slot, ray, 0.0, radii[i], 1.0, work)
 
 
 # ---- which of two hits is the first
@@ -248,7 +250,7 @@ def precedes(world, ray, hit, other):
 def visit_first(caster, slot, first):
     """The first hits of a thin ray, as of `no_hits`."""
     (world, query, scratch), (box, other) = caster, first
-    t, feature = enter_obstacle(world, slot, scratch.ray, 0.0, query.t_max, scratch.work)
+    t, feature = enter_obstacle(world, slot, scratch.ray, 0.0, 0.0, query.t_max, scratch.work)
     if t < np.inf and not (query.skip_inside and feature == INSIDE):
         hit = Hit(slot, t, np.int64(feature))
         if is_plain_box(world.geometry, world.footprints, slot):
@@ -264,7 +266,7 @@ def visit_every(caster, room, slot, count):
     order.
     """
     world, query, scratch = caster
-    t, feature = enter_obstacle(world, slot, scratch.ray, 0.0, query.t_max, scratch.work)
+    t, feature = enter_obstacle(world, slot, scratch.ray, 0.0, 0.0, query.t_max, scratch.work)
     if t < np.inf and not (query.skip_inside and feature == INSIDE):
         hits = Hits(room.slots, room.times[AT], room.features[AT])
         write(Hit(slot, t, np.int64(feature)), hits, count)
@@ -578,7 +580,7 @@ def write_row(world, scratch, node_handles, radius, hit, length, row, hits):
     if not is_hit:
         clear_triangle(triangle)
     else:
-        touch(world, scratch, radius, hit, hits.points[row], hits.normals[row], triangle)
+        touch(world, scratch, 0.0, radius, hit, hits.points[row], hits.normals[row], triangle)
         hits.handles[row], hits.t[row] = node_handles[hit.slot], hit.t * length
 
 
@@ -595,7 +597,7 @@ def touch_rows(world, segment, radius, hits, points, normals, triangles):
     for j in range(hits.slots.shape[0]):
         hit = Hit(hits.slots[j], hits.ts[j], hits.features[j])
         triangle = triangle_of(triangles, j)
-        touch(world, scratch, radius, hit, points[j], normals[j], triangle)
+        touch(world, scratch, 0.0, radius, hit, points[j], normals[j], triangle)
 
 
 def described(

@@ -67,6 +67,8 @@ class RayAndBox(NamedTuple):
     ray: Any
     lo: Any
     hi: Any
+    doubt: Any
+    """By how much rounding may have moved the ray, or an axis-aligned box, m: 0 at rest."""
 
 
 class Frame(NamedTuple):
