@@ -20,6 +20,7 @@ import numpy as np
 
 from ...tree.access import (
     CLOSEST,
+    DIRECTION,
     INSIDE,
     LARGEST,
     NONE,
@@ -268,33 +269,42 @@ def ray_in_stopped_frame(cast, i, slot, box, radius):
 
 @inlined
 def _ray_seen_from(cast, i, slot, box, seconds, radius):
-    """`see_ray` of a row, seconds = how long an obstacle has gone, and goes a unit of t."""
-    rays, world, given = cast.rays, cast.world, (cast.rays.origins[i], cast.rays.directions[i])
-    is_plain, t_max = is_plain_box(world.geometry, world.footprints, slot), of_row(rays.t_max, i)
-    return see_ray(given, box, seconds, t_max, radius, is_plain, cast.scratch.ray)
+    """Write a row's ray as an obstacle sees it that has gone so many seconds, and goes so many a
+    unit of t; return its doubt.
+    """
+    rays, (lo, hi, velocity, _), (since, pace), ray = cast.rays, box, seconds, cast.scratch.ray
+    ends, ndim, largest, fastest = stack_array((2, 3), np.float64), rays.origins.shape[1], 0.0, 0.0
+    for axis in range(ndim):
+        gone, step = velocity[axis] * since, velocity[axis] * pace
+        origin, direction = rays.origins[i, axis], rays.directions[i, axis]
+        ends[0, axis] = min(max(origin - gone, -LARGEST), LARGEST)
+        ends[1, axis] = min(max(direction - step, -LARGEST), LARGEST)
+        largest = max(largest, abs(origin), abs(gone))
+        fastest = max(fastest, abs(direction), abs(step))
+    set_ray(ray, ends[0, :ndim], ends[1, :ndim])
+    t_max, world = of_row(rays.t_max, i), cast.world
+    is_plain = is_plain_box(world.geometry, world.footprints, slot)
+    if is_plain or (pace > 0.0 and fastest * t_max > largest):
+        fastest = fastest if pace > 0.0 else 0.0
+        return _doubt_past(ray, lo, hi, radius, is_plain, largest, fastest, t_max)
+    return DOUBT * min(largest, LARGEST)
+
+
+DOUBT = 4.0 * COORDINATES
 
 
 @lean_kernel
-def see_ray(given, box, seconds, t_max, radius, is_plain, ray):
-    """Write a ray, (origin, direction), as an obstacle that moves sees it; return by how much
-    rounding may have moved it until it is past the obstacle. Of an axis-aligned box, which only a
-    ball meets here, that counts also what rounds the closed form, see `exact_ball`.
+def _doubt_past(ray, lo, hi, radius, is_plain, largest, fastest, t_max):
+    """By how much rounding may have moved a ray until it is past an obstacle. Of an axis-aligned
+    box, which only a ball meets here, that counts also what rounds the closed form, see
+    `exact_ball`.
     """
-    (origin, direction), (lo, hi, velocity, _), (since, pace) = given, box, seconds
-    ends, ndim = stack_array((2, 3), np.float64), origin.shape[0]
-    largest, fastest, slowest = 0.0, 0.0, 0.0
-    for axis in range(ndim):
-        gone, step = velocity[axis] * since, velocity[axis] * pace
-        ends[0, axis] = min(max(origin[axis] - gone, -LARGEST), LARGEST)
-        ends[1, axis] = min(max(direction[axis] - step, -LARGEST), LARGEST)
-        largest = max(largest, abs(origin[axis]), abs(gone))
-        fastest = max(fastest, abs(direction[axis]), abs(step))
-        slowest = max(slowest, abs(ends[1, axis]))
-    set_ray(ray, ends[0, :ndim], ends[1, :ndim])
-    total = min(lengths_in_play(ray, radius, lo, hi), LARGEST)
-    if pace > 0.0 and slowest > 0.0:
+    total, slowest = min(lengths_in_play(ray, radius, lo, hi), LARGEST), 0.0
+    for axis in range(ray.shape[1]):
+        slowest = max(slowest, abs(ray[DIRECTION, axis]))
+    if slowest > 0.0:
         largest = max(largest, min(fastest, LARGEST) * min(t_max, total / slowest))
-    doubt = 4.0 * COORDINATES * min(largest, LARGEST)
+    doubt = DOUBT * min(largest, LARGEST)
     return doubt + SWEEP_SLACK * total if is_plain else doubt
 
 
