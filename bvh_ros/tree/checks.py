@@ -278,15 +278,10 @@ def mask(value: Any) -> np.uint32:
     """One mask of 32 bits."""
     if value is ALL:  # the default, and much the most common: not worth a microsecond
         return EVERY
-    if not is_integer(value):
-        try:
-            number = one('mask', value)
-        except ValueError:
-            number = -1.0
-        value = int(number) if 0.0 <= number <= ALL and number.is_integer() else value
-    if not is_integer(value) or not 0 <= value <= ALL:
+    number = value[()] if isinstance(value, np.ndarray) and value.ndim == 0 else value
+    if isinstance(number, bool) or not is_integer(number) or not 0 <= number <= ALL:
         raise ValueError(f'mask must be an integer from 0 to {ALL}, not {shown_short(value)}')
-    return np.uint32(value)
+    return np.uint32(number)
 
 
 def masks(value: Any, count: int) -> NDArray[np.uint32]:

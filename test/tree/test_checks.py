@@ -42,7 +42,7 @@ NO_NUMBERS = [np.array(['NaT'] * 3, 'M8[s]'), masked((3,)), ['1'] * 3, [10**400]
 POINTS += NO_NUMBERS
 ROWS += [(value if type(value) is not list else [value] * 5, '') for value in NO_NUMBERS]
 COORDINATES = 'lo hi displacement origin origins direction directions translation point points'
-MASKS, LIMITS = [-1, 2**32, 0.5, 'all', NAN], [NAN, -1e-300, -INF, 'far', None]
+MASKS, LIMITS = [-1, 2**32, 0.5, 1.0, True, 'all', NAN], [NAN, -1e-300, -INF, 'far', None]
 COUNTS = [0, -1, 1.5]
 MARGINS = [-0.1, NAN, INF, 'wide']
 # Of other arguments: what is refused, and where a row is named, which one.
