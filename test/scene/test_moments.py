@@ -8,9 +8,10 @@ from fractions import Fraction
 import numpy as np
 import pytest
 from scene.reference import changed, scene_of
+from scene.shapes.test_convexity import prism
 from scene.test_then import some_shapes
 
-from bvh_ros.scene import NO_NODE, NodeScene, Numbered, Part, ShapeKind, Shapes
+from bvh_ros.scene import NO_NODE, Mesh, NodeScene, Numbered, Part, ShapeKind, Shapes
 
 BOX, SPHERE, CYLINDER, *_ = ShapeKind
 
@@ -268,3 +269,48 @@ def test_what_goes_farther_than_all_doubles_is_not_passed(kind: str, radius: flo
             assert hit.t < 1e-306
             many = scene.sweep_many([start], [goal], radius, at=0, until=10 * SECOND)
             assert many.t[0] == hit.t
+
+
+@pytest.mark.parametrize('planar', [False, True])
+@pytest.mark.parametrize('radius', [0.0, 2.0**-20])
+def test_what_stops_is_hit_where_the_ray_enters_it_again(planar: bool, radius: float):
+    """A ray in the notch of a mesh goes with it until that stops, then through its arms."""
+    outline = np.array([[0, 0], [0, 2], [-2, 2], [-2, -2], [2, -2], [2, 0]], float)
+    rng, free, mesh = np.random.default_rng(4), 0, Mesh(prism(outline))
+    assert not mesh.convex
+    rest = scene_of(Shapes.of_meshes(mesh), planar=planar, names=['it'], stamp=0)
+    for number in range(60):
+        velocity = np.append(rng.integers(-16, 17, 2) / 2.0, 0.0)
+        scene = NodeScene(max_prediction=1.0, planar=planar)
+        scene.update('s', ['it'], Shapes.of_meshes(mesh), stamp=0, velocities=[velocity])
+        # As the obstacle sees them: for a second in the notch, and one beyond.
+        starts = np.append(rng.uniform(0.25, 1.75, (20, 2)), np.zeros((20, 1)), axis=1)
+        slow = rng.normal(size=(20, 3)) * [1e-9, 1e-3, 0.1, 0.0][number % 4] * [1, 1, 0]
+        goals = starts + 2 * (velocity + slow)
+        stop = starts + slow
+        before = rest.sweep_many(starts, stop, radius).t * 0.5
+        wanted = 0.5 + rest.sweep_many(stop, goals - velocity, radius).t * 0.5
+        wanted[np.isfinite(before)] = before[np.isfinite(before)]
+        hits = scene.sweep_many(starts, goals, radius, at=0, until=2 * SECOND)
+        np.testing.assert_allclose(hits.t, wanted, rtol=0, atol=1e-9)
+        points = np.isfinite(wanted)
+        free += points.size - np.count_nonzero(points)
+        for row in np.flatnonzero(points)[:3]:
+            one = scene.raycast(starts[row], goals[row], radius, at=0, until=2 * SECOND)
+            assert one.t == hits.t[row]
+            assert one.point.tolist() == hits.points[row].tolist()
+            (every,) = scene.raycast_all(starts[row], goals[row], radius, at=0, until=2 * SECOND)
+            assert every.t == one.t
+    assert 100 < free < 1100
+
+
+@pytest.mark.parametrize('kind', list(SOLIDS))
+def test_an_endless_ray_beside_what_goes_with_it_is_free(kind: str):
+    velocity = np.array([242.9388530987352, 1801.4208584493329, -764.4641157203993])
+    direction = np.array([0.24293885309873522, 1.8014208584493332, -0.7644641157203994])
+    scene = scene_of(SOLIDS[kind](np.zeros(3), 1.0), names=['it'], stamp=0, velocities=[velocity])
+    for away in (1e-3, 1.0, 1e6):
+        for limit in (1.0, 1e9, np.inf):
+            start = [[3.0 + away, 0, 0]]
+            hits = scene.raycast_many(start, [direction], limit, at=0, until=1_000_000)
+            assert np.isinf(hits.t).all() or hits.t[0] > 1e9

@@ -20,7 +20,6 @@ import numpy as np
 
 from ...tree.access import (
     CLOSEST,
-    DIRECTION,
     INSIDE,
     LARGEST,
     NONE,
@@ -34,6 +33,8 @@ from ...tree.access import (
     set_ray,
     set_swept_box,
     slot_of,
+    two_product,
+    two_sum,
 )
 from ...tree.access import Hit as TreeHit
 from ...tree.compiler import address_of, called_at, inlined, lean_kernel, prefetch, stack_array
@@ -59,6 +60,7 @@ from ...tree.motion.access import (
     span_of,
 )
 from ..results import NO_NODE, require_few
+from ..shapes.footprint import ROUND
 from ..shapes.shape import Floats
 from ..store import Obstacles, most_growth
 from .arguments import (
@@ -211,21 +213,22 @@ def meet_obstacle(cast, i, course, slot):
         hit, t, face = meet_box(box, course, t_max)
         return Contact(hit and not (rays.skip_inside and face == INSIDE), t, face, EXACT_BOX)
     t, feature, stops, kind = np.inf, np.int64(INSIDE), _time_left(box, course), GOING
-    ray = cast.scratch.ray
+    ray, work = cast.scratch.ray, cast.scratch.work
     if stops >= 0.0:
         doubt = ray_in_obstacle_frame(cast, i, slot, box, radius)
         end = min(t_max, stops * (1.0 + NEAR))
-        t, feature = enter_obstacle(world, slot, ray, doubt, radius, end, cast.scratch.work)
+        t, feature = enter_obstacle(world, slot, ray, doubt, radius, end, work)
     inside = t < np.inf and feature == INSIDE
-    if stops < np.inf and not (inside or t < stops * (1.0 - NEAR)):
-        doubt = ray_in_stopped_frame(cast, i, slot, box, radius)
-        later, where = enter_obstacle(world, slot, ray, doubt, radius, t_max, cast.scratch.work)
-        stopped = later < t
-        if stops >= 0.0:
-            stopped &= where != INSIDE and later >= stops * (1.0 - NEAR)
-        if stopped:
-            t, feature, kind = later, where, STOPPED
-            inside = where == INSIDE
+    if stops <= t_max and not (inside or t < stops * (1.0 - NEAR)):
+        begin = max(stops, 0.0)
+        doubt = ray_in_stopped_frame(cast, i, slot, box, radius, begin)
+        later, where = enter_obstacle(world, slot, ray, doubt, radius, t_max - begin, work)
+        if stops < 0.0:
+            inside = later < np.inf and where == INSIDE
+        elif where == INSIDE:  # it is touched, where no rounding matters, before it stops
+            later, where = (later if t == np.inf else np.inf), np.int64(ROUND)
+        if begin + later < t:
+            t, feature, kind = min(begin + later, t_max), where, STOPPED
     return Contact(t < np.inf and not (rays.skip_inside and inside), t, np.int64(feature), kind)
 
 
@@ -254,58 +257,61 @@ def growth_of(rays, i, box):
 
 @inlined
 def ray_in_obstacle_frame(cast, i, slot, box, radius):
-    """Write a row's ray in the frame of an obstacle that moves to the scratch; return by how much
-    rounding may have moved it, see `RayAndBox`.
+    """Write a row's ray in the frame of an obstacle that moves to the scratch; return its doubt,
+    see `RayAndBox`.
     """
     since, _ = elapsed(of_row(cast.rays.at, i), box[3], cast.moving.nanoseconds)
-    return _ray_seen_from(cast, i, slot, box, (since, of_row(cast.rays.pace, i)), radius)
+    return _ray_seen_from(cast, i, slot, box, (0.0, since, of_row(cast.rays.pace, i)), radius)
 
 
 @inlined
-def ray_in_stopped_frame(cast, i, slot, box, radius):
-    """The same for an obstacle that has come to rest."""
-    return _ray_seen_from(cast, i, slot, box, (cast.moving.left, 0.0), radius)
+def ray_in_stopped_frame(cast, i, slot, box, radius, begin):
+    """The same for an obstacle that has come to rest, and of the ray from t = `begin` on."""
+    return _ray_seen_from(cast, i, slot, box, (begin, cast.moving.left, 0.0), radius)
 
 
 @inlined
-def _ray_seen_from(cast, i, slot, box, seconds, radius):
-    """Write a row's ray as an obstacle sees it that has gone so many seconds, and goes so many a
-    unit of t; return its doubt.
+def _ray_seen_from(cast, i, slot, box, when, radius):
+    """Write a row's ray as an obstacle sees it, when = (t at which it begins, how many seconds the
+    obstacle has gone then, and goes a unit of t); return by how much rounding may move it as seen
+    from the obstacle. Of an axis-aligned box, which only a ball meets here, that counts also what
+    rounds the closed form, see `exact_ball`.
     """
-    rays, (lo, hi, velocity, _), (since, pace), ray = cast.rays, box, seconds, cast.scratch.ray
-    ends, ndim, largest, fastest = stack_array((2, 3), np.float64), rays.origins.shape[1], 0.0, 0.0
+    rays, (lo, hi, velocity, _), (begin, since, pace) = cast.rays, box, when
+    ends, ndim = stack_array((2, 3), np.float64), rays.origins.shape[1]
+    ray, world, largest, fastest, slowest = cast.scratch.ray, cast.world, 0.0, 0.0, 0.0
     for axis in range(ndim):
-        gone, step = velocity[axis] * since, velocity[axis] * pace
         origin, direction = rays.origins[i, axis], rays.directions[i, axis]
-        ends[0, axis] = min(max(origin - gone, -LARGEST), LARGEST)
-        ends[1, axis] = min(max(direction - step, -LARGEST), LARGEST)
-        largest = max(largest, abs(origin), abs(gone))
-        fastest = max(fastest, abs(direction), abs(step))
+        largest = max(largest, abs(origin), abs(velocity[axis] * since))
+        if begin > 0.0:
+            origin += begin * direction
+            largest = max(largest, abs(begin * direction))
+        step = direction - velocity[axis] * pace
+        ends[0, axis] = min(max(origin - velocity[axis] * since, -LARGEST), LARGEST)
+        ends[1, axis] = min(max(step, -LARGEST), LARGEST)
+        fastest, slowest = max(fastest, abs(direction)), max(slowest, abs(step))
+    if pace > 0.0 and slowest < CANCELLED * fastest:
+        relative_direction(rays.directions[i], velocity, pace, cast.moving.nanoseconds, ends[1])
     set_ray(ray, ends[0, :ndim], ends[1, :ndim])
-    t_max, world = of_row(rays.t_max, i), cast.world
-    is_plain = is_plain_box(world.geometry, world.footprints, slot)
-    if is_plain or (pace > 0.0 and fastest * t_max > largest):
-        fastest = fastest if pace > 0.0 else 0.0
-        return _doubt_past(ray, lo, hi, radius, is_plain, largest, fastest, t_max)
-    return DOUBT * min(largest, LARGEST)
+    doubt = 4.0 * COORDINATES * min(largest, LARGEST)
+    if is_plain_box(world.geometry, world.footprints, slot):
+        doubt += SWEEP_SLACK * min(lengths_in_play(ray, radius, lo, hi), LARGEST)
+    return doubt
 
 
-DOUBT = 4.0 * COORDINATES
+CANCELLED = 0.125  # of a direction: rounding may turn what is left of it by more than doubles do
 
 
 @lean_kernel
-def _doubt_past(ray, lo, hi, radius, is_plain, largest, fastest, t_max):
-    """By how much rounding may have moved a ray until it is past an obstacle. Of an axis-aligned
-    box, which only a ball meets here, that counts also what rounds the closed form, see
-    `exact_ball`.
-    """
-    total, slowest = min(lengths_in_play(ray, radius, lo, hi), LARGEST), 0.0
-    for axis in range(ray.shape[1]):
-        slowest = max(slowest, abs(ray[DIRECTION, axis]))
-    if slowest > 0.0:
-        largest = max(largest, min(fastest, LARGEST) * min(t_max, total / slowest))
-    doubt = DOUBT * min(largest, LARGEST)
-    return doubt + SWEEP_SLACK * total if is_plain else doubt
+def relative_direction(direction, velocity, pace, nanoseconds, out):
+    """Write direction - velocity * pace, rounded once, where no product is beyond all doubles."""
+    pace, lost = elapsed(pace, 0.0, nanoseconds)
+    for axis in range(direction.shape[0]):
+        step, error = two_product(velocity[axis], pace)
+        total, rest = two_sum(direction[axis], -step)
+        step = total + (rest - error - velocity[axis] * lost)
+        if abs(step) <= LARGEST:
+            out[axis] = step
 
 
 @inlined
@@ -442,7 +448,7 @@ def _touch_moving(cast, i, hit, stopped, point, normal, triangle):
     since = elapsed(at, box[3], moving.nanoseconds)[0] + hit.t * of_row(rays.pace, i)
     if stopped:
         since = moving.left
-        doubt = ray_in_stopped_frame(cast, i, hit.slot, box, radius)
+        doubt = ray_in_stopped_frame(cast, i, hit.slot, box, radius, 0.0)
     else:
         doubt = ray_in_obstacle_frame(cast, i, hit.slot, box, radius)
     touch(cast.world, scratch, doubt, radius, hit, point, normal, triangle)
