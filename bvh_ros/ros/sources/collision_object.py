@@ -69,6 +69,8 @@ class Changes:
         Whether nothing is left of the bodies before, but for what is among `bodies`.
     refusals : list of Refusal
         The objects that cannot be used; the bodies of these stay.
+    removed_at : int
+        The latest stamp at which any go, ns; 0 if none do.
     """
 
     def __init__(self, known: dict[str, Body]) -> None:
@@ -77,20 +79,23 @@ class Changes:
         self.touched: dict[str, None] = {}
         self.whole = False
         self.refusals: list[Refusal] = []
+        self.removed_at = 0
 
-    def start_over(self) -> None:
+    def start_over(self, stamp: int) -> None:
         """Let all bodies go."""
         self.bodies, self.whole = {}, True
+        self.removed_at = max(self.removed_at, stamp)
 
     def put(self, name: str, body: Body) -> None:
         """Let a body come, or take the place of the one before."""
         self.bodies[name] = body
         self.touched[name] = None
 
-    def remove(self, name: str) -> None:
+    def remove(self, name: str, stamp: int) -> None:
         """Let a body go, if there is one."""
         self.bodies.pop(name, None)
         self.touched[name] = None
+        self.removed_at = max(self.removed_at, stamp)
 
     def refuse(self, row: int, name: str, reason: str) -> None:
         """Keep the body as it was before the message."""
@@ -119,15 +124,16 @@ class BodiesSource(ColumnsSource):
         for row, (name, operation) in enumerate(zip(given.ids, given.operations, strict=True)):
             if row % AT_A_TIME == AT_A_TIME - 1:
                 yield
+            stamp = int(given.stamps[row]) or now
             try:
                 if operation == REMOVE:
-                    changes.remove(name) if name else changes.start_over()
+                    changes.remove(name, stamp) if name else changes.start_over(stamp)
                     continue
                 if name in ('', OCTOMAP):
                     raise ValueError(f"'{name}' is no id of an object")
                 if row in nowhere:
                     raise ValueError(nowhere[row])
-                before, stamp = changes.bodies.get(name), int(given.stamps[row]) or now
+                before = changes.bodies.get(name)
                 if operation == MOVE:
                     if before is None:
                         raise ValueError('there is no such object to move')
@@ -157,7 +163,7 @@ class BodiesSource(ColumnsSource):
         part = Part(names, placed([*rows.values()]), stamps)
         replaced = changes.touched.keys() & known.keys()
         self._bodies = bodies
-        self.is_whole = changes.whole
+        self.is_whole, self.removed_at = changes.whole, changes.removed_at
         if changes.whole:
             costly = is_costly(part)
             given = '', len(names), part.cut

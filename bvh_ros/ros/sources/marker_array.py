@@ -79,7 +79,7 @@ class MarkerArraySource(Source):
             meshes=self.settings.options['meshes'],
             files=self._find_files,
         )
-        self.is_whole = wanted.clears
+        self.is_whole, self.removed_at = wanted.clears, wanted.removed_at
         part = Part(wanted.names, wanted.shapes, wanted.stamp, wanted.expires)
         part = part._replace(velocities=self.follow)
         removed = self._with_elements(wanted.removed)
@@ -331,6 +331,7 @@ class Change(NamedTuple):
     lists: dict[str, int]  # list markers, and how many elements each has now
     singles: Families  # those among the names that are no elements
     refusals: Refusals  # the markers that cannot be used
+    removed_at: int  # the latest stamp of those that remove, ns; 0 without any
 
 
 def change(
@@ -382,7 +383,9 @@ def change(
     of = np.repeat(rows, counts)
     shapes = yield from reader.shapes(rows, of)
     names, singles, lists = reader.names.with_elements(rows, counts, reader.listed(rows))
-    stamp = np.where(table.stamp == 0, now, table.stamp)[of]
+    stamps = np.where(table.stamp == 0, now, table.stamp)
+    removes = (order.wish == REMOVAL) | (order.wish == SWEEP)
+    removes |= good & (order.wish == LISTED)  # of a list that becomes shorter
     lifetime = table.lifetime[of]
     return Change(
         order.clears,
@@ -390,11 +393,12 @@ def change(
         reader.names.singles(order.removed),
         names,
         shapes,
-        stamp,
+        stamps[of],
         np.where(lifetime > 0, lifetime + now, 0),
         lists,
         singles,
         reader.refusals(),
+        int(stamps[removes].max(initial=0)),
     )
 
 

@@ -61,22 +61,22 @@ class PlanningSceneSource(BodiesSource):
         """Replace or change the world."""
         columns, changes = self._columns(message), Changes(self._bodies)
         if columns.numbers('is_diff').item():
-            self._take_attached(columns, changes)
+            self._take_attached(columns, changes, now)
         else:
-            changes.start_over()
+            changes.start_over(now)
         given = CollisionObjects(columns, OBJECTS)
         yield from self._read_objects(given, changes, now)
         yield from self._read_octomap(columns, changes, now)
         return (yield from self._apply_changes(changes))
 
     @staticmethod
-    def _take_attached(columns: Columns, changes: Changes) -> None:
+    def _take_attached(columns: Columns, changes: Changes, now: int) -> None:
         """Remove what is attached to the robot. What leaves the robot comes with the world."""
         in_world = set(columns.texts(f'{OBJECTS}.id'))
         operations = columns.numbers(f'{ATTACHED}.operation')[:, 0].tolist()
         for row, name in enumerate(columns.texts(f'{ATTACHED}.id')):
             if operations[row] != REMOVE:
-                changes.remove(name)
+                changes.remove(name, now)
             elif name not in in_world:
                 reason = 'it leaves the robot, and the scene does not say where it is then'
                 changes.refuse(row, name, reason)
@@ -88,7 +88,7 @@ class PlanningSceneSource(BodiesSource):
         tree = octomap.Octree.read(columns, OCTREE)
         if not len(tree.data):
             if tree.kind:  # 'cleared', as MoveIt says it
-                changes.remove(OCTOMAP)
+                changes.remove(OCTOMAP, now)
             return
         (frame_id,) = columns.texts('world.octomap.header.frame_id')
         stamp = columns.stamps('world.octomap.header.stamp').item()

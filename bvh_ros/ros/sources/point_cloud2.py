@@ -65,6 +65,7 @@ class PointCloud2Source(Source):
                 items += len(boxes.numbers)
                 if len(boxes.deleted):
                     self.scene.remove(self.name, Numbered(prefix, boxes.deleted))
+                    self.removed_at = stamp or now
                 names = Numbered(prefix, boxes.numbers)
                 speeds: Any = boxes.velocities if moving else self.follow
                 if moving and transform is not None:

@@ -80,6 +80,7 @@ class Source(ABC):
         # Reads the mesh files that messages name, made when there is one; None: none are read.
         self.mesh_files: Callable[[], MeshFiles] | None = None
         self.is_whole = False  # whether the message that is being applied says everything
+        self.removed_at = 0  # the latest stamp at which that message removes anything, ns
         self.together = False  # whether `apply` takes several small messages
         self.follow = _follower(settings)
         self._node = node
@@ -206,7 +207,7 @@ class Source(ABC):
     def applying(self, messages: Sequence[bytes], now: int) -> Iterator[None]:
         """Apply messages; what cannot be used is counted and explained, never raised."""
         began = time.perf_counter_ns()
-        alone, self.is_whole = len(messages) == 1, False
+        alone, self.is_whole, self.removed_at = len(messages) == 1, False, 0
         try:
             items, refusals = yield from self.apply(self._read(messages), now)
             useless = 0 < items == len(refusals)
@@ -214,6 +215,7 @@ class Source(ABC):
                 raise ValueError('none of several messages can be used')  # each says why, below
             self.timings.add(began)
             self.refused.add_rows(refusals)
+            self.scene.newest = max(self.scene.newest, self.removed_at)
             yield from self.on_applied(self, now)
             if not useless:
                 self.spoke_at, self.has_spoken = now, True

@@ -57,6 +57,7 @@ class KnownTimes:
         self._changes = changes
         self._states: list[tuple[int, NodeScene]] = []
         """What was known, and since when, ns; ascending."""
+        self._expired_at = 0  # ns
         self._ahead, self._length = round(max_prediction * 1e9), round(history * 1e9)
 
     def note(self, source: Source, now: int) -> Iterator[None]:
@@ -78,9 +79,14 @@ class KnownTimes:
         before = [k for k, (one, _) in enumerate(self._states) if one <= stamp - self._length]
         del self._states[: max(before, default=0)]
 
+    def note_expiry(self, now: int) -> None:
+        """Obstacles were removed at `now` (ns on the node's clock), by no message."""
+        self._expired_at = now
+
     def forget(self) -> None:
         """Forget the past."""
         self._states.clear()
+        self._expired_at = 0
 
     def stamps(self) -> NDArray[np.int64]:
         """Since when something was known that is kept, ns; ascending."""
@@ -116,7 +122,10 @@ class KnownTimes:
     def states(self, at: NDArray[np.int64], now: int) -> tuple[list[NodeScene], NDArray[np.int64]]:
         """What was known at some time, and which of these at the times (n,); -1: not any more."""
         which = np.searchsorted(self.stamps(), at, 'right') - 1
-        which[at >= self._newest(now)] = len(self._states)
+        began = self._newest(now)
+        if self._states:  # before, there was what has expired since
+            began = max(began, self._expired_at)
+        which[at >= began] = len(self._states)
         return [*(scene for _, scene in self._states), self._changes.visible], which
 
     def state(self, at: int, now: int) -> NodeScene:

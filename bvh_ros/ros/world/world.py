@@ -88,7 +88,8 @@ class World:
         """Remove obstacles that are due; return whether some are left that are due, too."""
         if self.changes.copying:
             return False
-        self.scene.expire(now, EXPIRED_AT_ONCE)
+        if self.scene.expire(now, EXPIRED_AT_ONCE) and self.times is not None:
+            self.times.note_expiry(now)
         return self.scene.has_expired(now)
 
     def finish_changes(self) -> None:

@@ -444,6 +444,24 @@ def test_what_cannot_be_used_stays_even_if_the_scene_is_whole(heard):
     assert it.names == {'p.a/0', 'p.a/1'}
 
 
+@pytest.mark.parametrize('name', ['a', ''])
+@pytest.mark.parametrize('seconds', [5, 0])
+def test_a_removal_is_data_of_its_stamp(heard, name, seconds):
+    it = heard('CollisionObject')
+    it.hear(collision_object('a', **box()))
+    removal = collision_object(name, REMOVE)
+    removal.header.stamp.sec = seconds
+    it.hear(removal)
+    assert (it.names, it.scene.newest) == (set(), seconds * 10**9 or it.now)
+
+
+def test_an_empty_scene_is_data_of_when_it_came(heard):
+    it = heard('PlanningScene')
+    it.hear(planning_scene(collision_object('a', **box())))
+    it.hear(planning_scene())
+    assert (it.names, it.scene.newest) == (set(), it.now)
+
+
 def test_what_is_attached_to_the_robot_leaves_the_world(heard):
     it = heard('PlanningScene')
     it.hear(planning_scene(two('a'), two('b')))

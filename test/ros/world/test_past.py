@@ -6,8 +6,10 @@ import time
 
 import numpy as np
 import pytest
-from ros.messages import SECOND, cloud, stamp
+from rclpy.serialization import serialize_message
+from ros.messages import SECOND, cloud, marker, stamp
 from ros.patience import PATIENCE
+from visualization_msgs.msg import Marker, MarkerArray
 
 from bvh_ros.client import UNANSWERED, BvhError
 from bvh_ros.ros.world.known_times import KnownTimes, Span
@@ -99,6 +101,66 @@ def test_a_copy_is_the_same_and_goes_its_own_way():
     other.update('s', names, boxes, stamp=NOW)
     other.validate()
     assert (len(scene), len(other)) == (0, 50)
+
+
+BOXES = {'x': [9], 'y': [0], 'z': [0], 'sx': [1], 'sy': [1], 'sz': [1]}
+LIST = {'type': Marker.CUBE_LIST}
+# What brings an obstacle to (9, 0, 0), and what removes it.
+REMOVALS = {
+    'delete': (marker(0, (9, 0, 0)), marker(0, action=Marker.DELETE)),
+    'delete all': (marker(0, (9, 0, 0)), marker(0, action=3)),
+    'an empty list': (marker(0, (9, 0, 0), points=[(0, 0, 0)], **LIST), marker(0, **LIST)),
+    'an empty cloud': (cloud(BOXES), cloud({name: [] for name in BOXES})),
+    'by id': (cloud(BOXES | {'id': [0]}), cloud(BOXES | {'id': [0], 'sx': [np.nan]})),
+}
+
+
+@pytest.mark.parametrize('is_stamped', [True, False])
+@pytest.mark.parametrize('kind', list(REMOVALS))
+def test_what_is_removed_was_there_before(configure, kind: str, is_stamped: bool):
+    """Also where another source spoke in between, so that the removal changes no newer data."""
+    markers = {'type': 'MarkerArray', 'topic': '/markers'}
+    each = {
+        'Marker': markers,
+        'PointCloud2': {'type': 'PointCloud2', 'topic': '/clouds'},
+        'others': markers | {'topic': '/others'},
+    }
+    settings = {f'{name}.{key}': value for name, one in each.items() for key, value in one.items()}
+    server = configure({'sources': [*each], 'history': 20.0, **settings})
+
+    def hear(message, at, source=None, late=0.5):
+        message.header.frame_id, message.header.stamp = 'map', stamp(round(at * SECOND))
+        name = source or type(message).__name__
+        told = MarkerArray(markers=[message]) if isinstance(message, Marker) else message
+        (source,) = (one for one in server.world.sources if one.name == name)
+        source.apply_now(serialize_message(told), round((at + late) * SECOND))
+
+    def is_there(at):
+        now, known = 110 * SECOND, server.world.times
+        span = known.require(Span(round(at * SECOND)), now)
+        return known.state(span.at, now).raycast((9, 0, 9), (9, 0, 0), at=span.at) is not None
+
+    brings, removes = REMOVALS[kind]
+    hear(brings, 100)
+    hear(marker(1, (0, 9, 0)), 102, 'others')
+    hear(removes, 104) if is_stamped else hear(removes, 0, late=104.0)
+    assert server.world.scene.raycast((9, 0, 9), (9, 0, 0)) is None
+    wanted = {100.0: True, 101.5: True, 102.0: True, 103.9: True, 104.0: False, 104.9: False}
+    assert {at: is_there(at) for at in wanted} == wanted
+
+
+def test_what_has_expired_was_there_before():
+    scene = NodeScene()
+    changes = LargeChanges(scene)
+    times = KnownTimes(changes, 5.0, 5.0)
+    box = Shapes.boxes([[0, 0, 0]], [1, 1, 1])
+    scene.update('s', ['one'], box, stamp=NOW, expires=NOW + 10 * TICK)
+    list(times.note(None, NOW + 1))
+    assert scene.expire(NOW + 12 * TICK) == 1
+    times.note_expiry(NOW + 12 * TICK)
+    assert [place_at(times, tick) for tick in (0, 9)] == [0, 0]
+    assert len(times.state(NOW + 12 * TICK, NOW + 100 * TICK)) == 0
+    times.forget()
 
 
 @pytest.mark.slow
