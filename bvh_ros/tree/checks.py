@@ -58,7 +58,8 @@ def rotations(name: str, array: Floats) -> None:
         if not are_unit(*array[0].tolist()):
             row = 0
     elif len(array):
-        squares = np.einsum('ij,ij->i', array, array)  # a third of the time of `are_unit`
+        x, y, z, w = (array * array).T  # a fifth of the time of `are_unit`
+        squares = x + y + z + w
         if not (squares.min() >= SHORTEST and squares.max() <= LONGEST):
             row = int(np.argmin((squares >= SHORTEST) & (squares <= LONGEST)))
     if row >= 0:
