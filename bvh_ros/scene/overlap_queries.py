@@ -32,6 +32,14 @@ def turns_of(orientations: ArrayLike, count: int, name: str = 'orientations') ->
     return turns
 
 
+def _turns_given(orientations: ArrayLike, count: int) -> Floats:
+    """`turns_of`, but several rows are checked where a kernel has found a fault in any."""
+    turns = checks.rows_or_one('orientations', orientations, 4, count)
+    if len(turns) == 1:
+        checks.rotations('orientations', turns)
+    return turns
+
+
 class OverlapQueries:
     """What touches. Any number of threads may ask while none changes the scene."""
 
@@ -171,7 +179,7 @@ class OverlapQueries:
         turns, count = UNTURNED, len(places)
         edges = checks.edge_lengths('sizes', sizes, count, self._store.planar)
         if orientations is not None:
-            turns = turns_of(orientations, count)
+            turns = _turns_given(orientations, count)
         given = BOXES, places, turns, edges
         names = 'centers', 'sizes', 'orientations'
         return self._answer(given, None, names, (tolerance, mask, threads, at), want)
@@ -206,7 +214,7 @@ class OverlapQueries:
         places = checks.rows('positions', positions, 3, None, self._store.planar)
         count = len(places)
         if orientations is not None:
-            turns = turns_of(orientations, count)
+            turns = _turns_given(orientations, count)
         if mesh is not None and len(turns) != count:
             turns = turns.repeat(count, axis=0)
         if mesh is not None:
@@ -242,6 +250,8 @@ class OverlapQueries:
             answers = distances.touching(rows, count, None, wanted, threads, times)
             if answers is not None:
                 return answers
+        if names[2] and given[2] is not UNTURNED:
+            checks.rotations(names[2], given[2])
         shapes = unchecked_shapes(given[0], given[1], given[2], given[3], mesh)
         legal, hulls = query_rows(shapes, tolerance, mask, self._store.planar, *names)
         return distances.touching(tuple(legal), count, hulls, wanted, threads, times)

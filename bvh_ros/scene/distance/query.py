@@ -28,6 +28,7 @@ from ..shapes.shape import (
     MESH,
     NO_BOUNDS,
     NO_MESH,
+    NOT_UNIT,
     REASONS,
     TOO_LARGE,
     UINT8,
@@ -43,6 +44,7 @@ from ..shapes.shape import (
     fill_rotation,
     fill_unit,
     is_finite,
+    is_unset,
     maps_axes_to_axes,
     rows_entry,
     unchecked_shapes,
@@ -248,6 +250,8 @@ def make_row(rows, row, own, box):
     turn = orientations[row if orientations.shape[0] > 1 else 0]
     size = sizes[row if sizes.shape[0] > 1 else 0]
     fault = NO_MESH if kind == MESH else fault_of(kind, position, turn, size)
+    if orientations.shape[0] > 1 and is_unset(turn):  # which only `Shapes` may be
+        fault = NOT_UNIT
     if fault == FINE:
         canonical_row(kind, position, turn, size, 3, own[0], box)
         if not (is_finite(box[0]) and is_finite(box[1])):

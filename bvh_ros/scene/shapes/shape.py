@@ -631,19 +631,23 @@ def is_finite(vector):
 
 
 @inlined
-def is_rotation(quaternion):
-    """Whether a quaternion has length 1 to within 1 %, or is zero: an unset field of a message."""
-    square = 0.0
-    for part in range(4):
-        square += quaternion[part] * quaternion[part]
-    if SHORTEST <= square <= LONGEST:
-        return True
+def is_unset(quaternion):
+    """Whether a quaternion is zero."""
     return (
         quaternion[0] == 0.0
         and quaternion[1] == 0.0
         and quaternion[2] == 0.0
         and quaternion[3] == 0.0
     )
+
+
+@inlined
+def is_rotation(quaternion):
+    """Whether a quaternion has length 1 to within 1 %, or is zero: an unset field of a message."""
+    square = 0.0
+    for part in range(4):
+        square += quaternion[part] * quaternion[part]
+    return SHORTEST <= square <= LONGEST or is_unset(quaternion)
 
 
 @lean_kernel
