@@ -219,7 +219,7 @@ def meet_obstacle(cast, i, course, slot):
         end = min(t_max, stops * (1.0 + NEAR))
         t, feature = enter_obstacle(world, slot, ray, doubt, radius, end, work)
     inside = t < np.inf and feature == INSIDE
-    if stops <= t_max and not (inside or t < stops * (1.0 - NEAR)):
+    if stops < np.inf and stops <= t_max and not (inside or t < stops * (1.0 - NEAR)):
         begin = max(stops, 0.0)
         doubt = ray_in_stopped_frame(cast, i, slot, box, radius, begin)
         later, where = enter_obstacle(world, slot, ray, doubt, radius, t_max - begin, work)
