@@ -121,7 +121,7 @@ from .query.slab import (
 )
 from .query.traversal import Stack, next_leaf, push_root
 from .results import RayHits, shown_point, shown_rows
-from .simd.float32x16 import at_most16, crossed16
+from .simd.float32x16 import at_most16, crossed16, least16
 from .simd.int32x8 import AT_ONCE
 from .store import mapped
 from .store.arrays import Floats, Ids

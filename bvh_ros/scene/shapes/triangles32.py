@@ -17,8 +17,17 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ...tree.access import DIRECTION, ORIGIN, at_most16, crossed16, leaves_of, meet_boxes, meet_ray
-from ...tree.compiler import WIDTH, inlined, lean_kernel, stack_array
+from ...tree.access import (
+    DIRECTION,
+    ORIGIN,
+    at_most16,
+    crossed16,
+    least16,
+    leaves_of,
+    meet_boxes,
+    meet_ray,
+)
+from ...tree.compiler import WIDTH, fma, inlined, lean_kernel, stack_array
 
 # Of a distance in a snapshot's units, and of 1: twice what rounds it.
 LOOSER = np.float32(2.0**-19)
@@ -28,7 +37,7 @@ ZERO, HALF, ONE = np.float32(0.0), np.float32(0.5), np.float32(1.0)
 
 @inlined
 def dot(a, b):
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+    return fma(a[0], b[0], fma(a[1], b[1], a[2] * b[2]))
 
 
 @inlined
@@ -38,7 +47,7 @@ def minus(a, b):
 
 @inlined
 def plus(a, share, step):
-    return a[0] + share * step[0], a[1] + share * step[1], a[2] + share * step[2]
+    return fma(share, step[0], a[0]), fma(share, step[1], a[1]), fma(share, step[2], a[2])
 
 
 @inlined
@@ -67,7 +76,8 @@ def closest(a, b, c):
     other = on_edge(b, minus(c, b))
     point = select(dot(other, other) < dot(point, point), other, point)
     uu, uv, vv, au, av = dot(u, u), dot(u, v), dot(v, v), dot(a, u), dot(a, v)
-    s, t, area = uv * av - vv * au, uv * au - uu * av, uu * vv - uv * uv
+    s, t = fma(uv, av, -vv * au), fma(uv, au, -uu * av)
+    area = fma(uu, vv, -uv * uv)
     per_area = ONE / max(area, TINY)
     foot = plus(plus(a, s * per_area, u), t * per_area, v)
     return select(min(s, t, area - s - t) >= ZERO, foot, point)
@@ -170,12 +180,15 @@ def bound_children(wide, around, extent, node, lanes, nearest):
     slack = LOOSER * largest
     if extent is not None:  # how far the shape reaches is rounded, too
         slack += slack
-    limits, beyond = stack_array(WIDTH, np.float32), np.float32(np.inf)
+    limits = stack_array(WIDTH, np.float32)
     for lane in range(WIDTH):
-        low, high = bound_patch(triangles, lane, place, extent, slack + slack)
-        is_node = children[lane] >= 0
-        squares[lane] = max(squares[lane], low) if is_node else squares[lane]
-        limits[lane] = high if is_node else beyond
+        limits[lane] = np.inf
+    if np.uint32(lanes & ~leaves) != np.uint32(0):
+        for lane in range(WIDTH):
+            low, high = bound_patch(triangles, lane, place, extent, slack + slack)
+            is_node = children[lane] >= 0
+            squares[lane] = max(squares[lane], low) if is_node else squares[lane]
+            limits[lane] = high if is_node else limits[lane]
     if np.uint32(lanes & leaves) != np.uint32(0):
         for lane in range(WIDTH):
             low, point, inverse = separation(*corners_of(triangles, lane, place))
@@ -187,11 +200,8 @@ def bound_children(wide, around, extent, node, lanes, nearest):
             is_leaf = children[lane] < 0
             squares[lane] = max(squares[lane], low * low) if is_leaf else squares[lane]
             limits[lane] = high * high if is_leaf else limits[lane]
-    limit = around.limit[0]
-    for lane in range(WIDTH):
-        limit = min(limit, limits[lane])
-    around.limit[0] = limit
-    return np.uint32(lanes & at_most16(squares, 0, limit))
+    around.limit[0] = min(around.limit[0], least16(limits))
+    return np.uint32(lanes & at_most16(squares, 0, around.limit[0]))
 
 
 @inlined

@@ -21,6 +21,7 @@ from .intrinsics import (
     clear8,
     copy8,
     elements_at,
+    fma,
     index,
     largest8,
     largest_difference8,

@@ -172,6 +172,18 @@ def trailing_zeros(typingctx, bits):
 
 
 @intrinsic
+def fma(typingctx, a, b, c):
+    """a * b + c, rounded once; all float32, or all float64."""
+    kind = 'f32' if a == types.float32 else 'f64'
+
+    def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        kinds = [arg.type for arg in args]
+        return builder.call(operation(builder, f'llvm.fma.{kind}', kinds[0], kinds), args)
+
+    return a(a, a, a), codegen
+
+
+@intrinsic
 def bits_of(typingctx, number):
     """The bits of a float32, as an int64: of two that are not negative, the larger has the larger
     ones.

@@ -165,6 +165,27 @@ def at_most16(typingctx, numbers, at, limit):
 
 
 @intrinsic
+def least16(typingctx, numbers):
+    """The least of sixteen float32."""
+    sig = types.float32(numbers)
+
+    def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        first = elements_at(
+            context, builder, signature.args[0], args[0], index(0), index(WIDTH)
+        )
+        row = builder.load(builder.bitcast(first, _WIDE.as_pointer()), align=4)
+        count = WIDTH // 2
+        while count > 0:  # halves are compared at once
+            upper = ir.Constant(ir.VectorType(_INT, count), [*range(count, 2 * count)])
+            lower = ir.Constant(ir.VectorType(_INT, count), [*range(count)])
+            halves = (builder.shuffle_vector(row, row, half) for half in (lower, upper))
+            row, count = pick(builder, '<', *halves), count // 2
+        return builder.extract_element(row, ir.Constant(_INT, 0))
+
+    return sig, codegen
+
+
+@intrinsic
 def near16(typingctx, planes, node, box, limit, nearest):
     """Bit mask of the sixteen boxes of a wide node whose squared distance from a box is within a
     limit, float32; `nearest` becomes the bits of the squares. The other box is its three lower and
