@@ -7,7 +7,7 @@ its origin is on a triangle, or in the solid. The ray is that of the caller in t
 mesh, with a direction of any length: where the mesh is not turned, and lies at the world's origin,
 nothing is rounded before the decision.
 
-A ball touches a convex mesh where GJK says so, any other one where it first touches a triangle.
+A ball touches a mesh where it first touches a triangle, or at once where a solid holds its centre.
 """
 
 import math
@@ -16,12 +16,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ...tree.access import DIRECTION, INSIDE, LARGEST, ORIGIN, RAY_ROWS, set_ray
-from ...tree.compiler import chosen_by_types, inlined, lean_kernel, stack_array
+from ...tree.compiler import inlined, lean_kernel, stack_array
 from ..distance.gjk import SLACK, dot
 from ..distance.narrow_phase import hull_gap
 from ..shapes.footprint import FACE, ROUND
-from ..shapes.hull import are_any, form_of, hull_of, surface_of, triangle_hull
-from ..shapes.mesh import CONVEX, SOLID, farthest_vertex
+from ..shapes.hull import form_of, surface_of, triangle_hull
+from ..shapes.mesh import CONVEX, SHELL, farthest_vertex
 from ..shapes.shape import ldexp, rotate
 from ..shapes.surface import (
     closest_between,
@@ -170,23 +170,6 @@ def measure_hull(solid, point, normal):
     return (dot(normal, place) - dot(normal, vertex)) * scale, distance * scale
 
 
-approach_hull = approach_by(measure_hull)
-
-
-@lean_kernel
-def enter_convex(hulls, shape, frame, pair, radius, t_max, work):
-    """(t, feature) at which a ray, or a ball swept along it, enters a shape's convex mesh."""
-    if radius == 0.0:
-        return enter_triangles(surface_of(hulls, shape), True, shape, pair, t_max)
-    reach = reach_of(t_max, frame.pace)
-    solid = hull_of(hulls, shape), frame.scale
-    s, _ = approach_hull(solid, radius, reach, frame.slack, work)
-    return time_of(s, frame.pace, t_max), np.int64(INSIDE if s == 0.0 else ROUND)
-
-
-# ---- meshes that are not convex
-
-
 @lean_kernel
 def measure_triangle(solid, point, normal):
     """`measure_hull` of a triangle. The plane across the line to its closest point nearly always
@@ -295,20 +278,11 @@ def approach_triangles(hulls, surface, is_solid, frame, radius, reach, work):
 
 
 @lean_kernel
-def enter_any(hulls, shape, frame, pair, radius, t_max, work):
-    """`enter_convex` of any mesh."""
-    form = form_of(hulls, shape)
-    if form == CONVEX:
-        return enter_convex(hulls, shape, frame, pair, radius, t_max, work)
-    surface = surface_of(hulls, shape)
-    if radius == 0.0:
-        return enter_triangles(surface, form == SOLID, shape, pair, t_max)
-    reach = reach_of(t_max, frame.pace)
-    s = approach_triangles(hulls, surface, form == SOLID, frame, radius, reach, work)
-    return time_of(s, frame.pace, t_max), np.int64(INSIDE if s == 0.0 else ROUND)
-
-
-@chosen_by_types
 def enter_mesh(hulls, shape, frame, pair, radius, t_max, work):
     """(t, feature) at which a ray, or a ball swept along it, enters a shape's mesh."""
-    return enter_any if are_any(hulls) else enter_convex
+    surface, is_solid = surface_of(hulls, shape), form_of(hulls, shape) != SHELL
+    if radius == 0.0:
+        return enter_triangles(surface, is_solid, shape, pair, t_max)
+    reach = reach_of(t_max, frame.pace)
+    s = approach_triangles(hulls, surface, is_solid, frame, radius, reach, work)
+    return time_of(s, frame.pace, t_max), np.int64(INSIDE if s == 0.0 else ROUND)

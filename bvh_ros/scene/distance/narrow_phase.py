@@ -11,7 +11,7 @@ from ...tree.access import ALL, NONE, Near, no_plane32, pruning_limit, set_plane
 from ...tree.compiler import chosen_by_types, inlined, lean_kernel, stack_array
 from ..shapes.footprint import closest_on_footprint
 from ..shapes.hull import are_any, form_of, hull_of, hull_of_point, surface_of, triangle_hull
-from ..shapes.mesh import CONVEX, SOLID
+from ..shapes.mesh import CONVEX, SHELL, SOLID
 from ..shapes.shape import BOX, CAPSULE, CYLINDER, MESH, SPHERE, fill_rotation, rotate, scale_of
 from ..shapes.surface import closest_between, closest_on_surface, holds_point, visit_near
 from ..shapes.triangles32 import Extent
@@ -62,41 +62,16 @@ def hull_gap(hull, point, apart, normal):
 
 
 @lean_kernel
-def closest_on_hull(hull, point, out):
-    """Fill `out` with the closest point of a mesh, `point` itself inside; return the distance."""
-    apart, normal = stack_array(3, np.float64), stack_array(3, np.float64)
-    distance = hull_gap(hull, point, apart, normal)
-    for axis in range(3):
-        out[axis] = point[axis] - apart[axis] if distance > 0.0 else point[axis]
-    return distance
-
-
-@lean_kernel
-def closest_in_convex(hulls, shape, point, out):
-    """`closest_on_hull` of a shape's mesh."""
-    return closest_on_hull(hull_of(hulls, shape), point, out)
-
-
-@lean_kernel
-def closest_in_any(hulls, shape, point, out):
-    """The same of any mesh."""
-    form = form_of(hulls, shape)
-    if form == CONVEX:
-        return closest_in_convex(hulls, shape, point, out)
-    surface = surface_of(hulls, shape)
-    if form == SOLID and holds_point(surface, point):
-        for axis in range(3):
-            out[axis] = point[axis]
-        return 0.0
-    return closest_on_surface(surface, point, out)
-
-
-@chosen_by_types
 def closest_in_mesh(hulls, shape, point, out):
     """Fill `out` with the closest point of a shape's mesh, `point` itself inside; return the
     distance.
     """
-    return closest_in_any if are_any(hulls) else closest_in_convex
+    surface = surface_of(hulls, shape)
+    if form_of(hulls, shape) != SHELL and holds_point(surface, point):
+        for axis in range(3):
+            out[axis] = point[axis]
+        return 0.0
+    return closest_on_surface(surface, point, out)
 
 
 @lean_kernel

@@ -6,13 +6,14 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
+from numba import types
 
 from ...tree.access import two_sum
 from ...tree.compiler import chosen_by_types, inlined, lean_kernel, stack_array
 from ..shapes.hull import are_any, form_of, hull_of, hull_of_point, surface_of
 from ..shapes.mesh import CONVEX, SOLID
-from ..shapes.shape import SPHERE
-from ..shapes.surface import closest_on_surface, holds_point
+from ..shapes.shape import MESH, SPHERE, rotate
+from ..shapes.surface import closest_on_surface, closest_triangle, holds_point
 from .certified import certified_bounds, cross2, dot2, set_normal
 from .gjk import (
     AXES,
@@ -580,11 +581,12 @@ def signed_distance_in_obstacle(bodies, slot, centre, found, row):
 
 
 @lean_kernel
-def depth_in_any(centre, shape, hulls, planar, points, normal):
-    """`depth_of_point` in a shape that may have a mesh of any form: of one that is not convex, the
-    distance from its surface; seen from above inf, as `NO_DEPTH` says.
+def depth_with_meshes(centre, shape, hulls, planar, points, normal):
+    """`depth_of_point` where there are meshes: in a mesh it is the distance from the surface. Of
+    one that is not convex, seen from above, it is inf, as `NO_DEPTH` says.
     """
-    if form_of(hulls, shape) == CONVEX:
+    form = form_of(hulls, shape)
+    if shape.kind != MESH or (planar and form == CONVEX):
         return depth_of_point(centre, shape, hulls, planar, points, normal)
     if planar:
         return -NO_DEPTH
@@ -592,8 +594,13 @@ def depth_in_any(centre, shape, hulls, planar, points, normal):
     for axis in range(3):
         local[axis] = points[0, axis] = centre[axis]
     to_frame(shape, False, local)
-    depth = closest_on_surface(surface_of(hulls, shape), local, closest)
+    depth, face = closest_triangle(surface_of(hulls, shape), local, closest)
     from_frame(shape, False, closest)
+    if form == CONVEX:  # the way out is across a face: next to that its normal has more digits
+        for axis in range(3):
+            normal[axis] = hulls.normals[hulls.spans[shape.mesh].faces[0] + face, axis]
+        rotate(shape.orientation, normal, 1.0)
+        return depth
     for axis in range(3):
         normal[axis] = (closest[axis] - centre[axis]) / depth if depth > 0.0 else 0.0
     return depth
@@ -602,7 +609,7 @@ def depth_in_any(centre, shape, hulls, planar, points, normal):
 @chosen_by_types
 def depth_in_obstacle(centre, shape, hulls, planar, points, normal):
     """How deep a point is in an obstacle that holds it."""
-    return depth_in_any if are_any(hulls) else depth_of_point
+    return depth_of_point if isinstance(hulls, types.NoneType) else depth_with_meshes
 
 
 # Instead of minus a depth, where a mesh that is not convex touches anything but a ball; seen from

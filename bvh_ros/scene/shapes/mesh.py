@@ -363,7 +363,7 @@ class WideNodes(NamedTuple):
     triangles: NDArray[np.float32]
     """(n, 9 WIDTH): the corners of the triangles that are children, in the snapshot's units: x of
     the first corner of all, its y, and so on; of a child that is a node its patch, see
-    `triangles32`, or zeros if the mesh is convex."""
+    `triangles32`."""
     center: Floats
     """(3,)"""
     per_length: float
@@ -573,8 +573,7 @@ class Mesh:
             corners = self.corners.take(~children[leaves], axis=0)
             triangles[leaves] = places.take(corners, axis=0).reshape(-1, 9)
             lanes = triangles.transpose(0, 2, 1).reshape(-1, 9 * WIDTH)
-            if not self.convex:  # else its hull answers what is nearest
-                _patches_entry()(planes, children, lanes, np.empty((3, self.corners.size)))
+            _patches_entry()(planes, children, lanes, np.empty((3, self.corners.size)))
             wide = WideNodes(planes, children, lanes, *units, snapshot.depth)
         nodes, _, _, root = tree.arrays()
         return nodes, int(root), wide

@@ -830,6 +830,8 @@ class NearestPoint(NamedTuple):
     surface: Any
     out: Any
     """The closest point so far."""
+    face: Any
+    """(1,) the row of its triangle."""
     towards: Any
     """(4,): a unit vector from the point of the query to that, zero at first; its distance."""
 
@@ -859,7 +861,7 @@ def _look_at_triangle(near_by, query, leaf, square, best, count, limit):
     trial = stack_array(3, np.float64)
     apart = closest_on_triangle(surface.vertices, corner, point, trial)
     if apart < best[0]:
-        best[0], distance = apart, math.sqrt(apart)
+        best[0], near_by.face[0], distance = apart, leaf >> 1, math.sqrt(apart)
         for axis in range(3):
             near_by.out[axis] = trial[axis]
             towards[axis] = (trial[axis] - point[axis]) / distance if distance > 0.0 else 0.0
@@ -906,9 +908,15 @@ def visit_near(near_by, surface, query, best, limit, plane, extent, look_at):
 FAR = 2.0**300  # m: no surface reaches as far by 59 decades, and products of lengths are finite
 
 
-@lean_kernel
+@inlined
 def closest_on_surface(surface, point, out):
-    """Fill in the closest point of a surface; return the distance.
+    """Fill in the closest point of a surface; return the distance."""
+    return closest_triangle(surface, point, out)[0]
+
+
+@lean_kernel
+def closest_triangle(surface, point, out):
+    """`closest_on_surface`, and the row of the triangle that holds it.
 
     A point beyond FAR is moved towards the surface for the search: which point is closest depends
     on the direction alone there.
@@ -924,12 +932,12 @@ def closest_on_surface(surface, point, out):
     best[0] = towards[3] = np.inf
     towards[0] = towards[1] = towards[2] = 0.0
     query = Near(place, place, 1, np.inf, ALL)
-    near_by = NearestPoint(surface, out, towards)
+    near_by = NearestPoint(surface, out, stack_array(1, np.int64), towards)
     plane = stack_array(4, np.float32)
     no_plane32(plane)
     visit_near(near_by, surface, query, best, np.inf, plane, None, _look_at_triangle)
     if largest <= FAR:
-        return math.sqrt(best[0])
+        return math.sqrt(best[0]), near_by.face[0]
     for axis in range(3):
         place[axis] = point[axis] - out[axis]
-    return length(place)
+    return length(place), near_by.face[0]

@@ -170,9 +170,7 @@ def least16(typingctx, numbers):
     sig = types.float32(numbers)
 
     def codegen(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        first = elements_at(
-            context, builder, signature.args[0], args[0], index(0), index(WIDTH)
-        )
+        first = elements_at(context, builder, signature.args[0], args[0], index(0), index(WIDTH))
         row = builder.load(builder.bitcast(first, _WIDE.as_pointer()), align=4)
         count = WIDTH // 2
         while count > 0:  # halves are compared at once
