@@ -260,9 +260,15 @@ def answer_nearest(
             count, others, last = neighbours(world, row, point, point, wanted, limit, mask, found)
             if count < 0:
                 return count, wanted, count
+            farthest = np.inf
             for i in range(count):
+                if in_order and found.bounds[i] > farthest:  # so are all that follow
+                    count, others = i, False
+                    break
                 slot, found.points[i, 2] = found.slots[i], point[2]
                 lie(world, row, slot, point, signed, found, i)
+                if k == 1:
+                    farthest = min(farthest, max(found.distances[i], 0.0) * ROUNDED)
             order_found(found, count, node_handles)
             filled = keep(found, count, (k, reach, twice), node_handles, near, row)
             farthest = max(near.distances[row, k - 1], 0.0) * ROUNDED if filled == k else np.inf
@@ -413,11 +419,15 @@ def answer_clearances(
             )
             if count < 0:
                 return count, wanted
-            for slot in found.slots[looked:count]:
+            for i in range(looked, count):
+                slot, farthest = found.slots[i], max(results.distances[row], 0.0) * ROUNDED_GAP
+                if in_order and found.bounds[i] > farthest:  # so are all that follow
+                    others = False
+                    break
                 if node_handles[slot] != besides:
                     look(world, row, record[0], slot, reach, signed, node_handles, results)
-            distance = max(results.distances[row], 0.0)
-            if not others or last > distance * ROUNDED_GAP:
+            farthest = max(results.distances[row], 0.0) * ROUNDED_GAP
+            if not others or last > farthest:
                 break
             looked = count if in_order else np.int64(0)
             wanted = min(wanted * MORE, everybody + 1)
