@@ -8,6 +8,7 @@ from .batch.single import (
     Surroundings,
     cast_few,
     few_entry,
+    leaf_within,
     meet_boxes,
     meet_ray,
     next_line_leaf,

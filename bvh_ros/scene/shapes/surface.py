@@ -32,6 +32,7 @@ from ...tree.access import (
     Surroundings,
     enter_box,
     intersect_node,
+    leaf_within,
     limit32,
     next_leaf,
     next_line_leaf,
@@ -48,6 +49,7 @@ from ...tree.access import (
     traversal_distance,
     two_product,
     two_sum,
+    visit_nearest,
     widen,
 )
 from ...tree.compiler import inlined, lean_kernel, stack_array
@@ -879,30 +881,43 @@ def gap_square(nodes, node, query, limit):
     return min(total, LARGEST) if total <= limit else np.inf
 
 
+WAITING = 32
+
+
 @inlined
 def visit_near(near_by, surface, query, best, limit, plane, extent, look_at):
     """`visit_nearest` of the triangles of a surface: through the snapshot of their tree if there
     is one, and the query is near enough. `plane` as of `set_plane32`: what does not reach it is
     left out. `extent` is an `Extent`, or None for a point.
+
+    Triangles wait until the snapshot has no more of them, as each one that it comes to may show
+    that others are too far away: so few are looked at in float64.
     """
-    nodes, wide, count = surface.nodes, surface.wide, np.int64(0)
+    wide, count = surface.wide, np.int64(0)
     box, entries = stack_array(6, np.float32), stack_array(STACK, np.int64)
-    stack = Stack(stack_array(DEEPEST, np.int64), stack_array(DEEPEST, np.float64))
+    if not surround(wide, query.low, query.high, box):
+        visit_nearest(
+            near_by, surface.nodes, surface.root, query, best, limit, gap_square, look_at
+        )
+        return
     around = Surroundings(box, stack_array(1, np.float32), plane, extent)
     around.limit[0], entries[0], top = square32(limit, wide.per_length), 0, 1
-    suited = surround(wide, query.low, query.high, box)
-    if not suited:
-        top = push_root(nodes, surface.root, query, limit, stack, gap_square)
-    while top > 0 and limit >= 0.0:
-        if suited:
-            face, top = next_near_leaf(wide, around, entries, top, meet_triangles)
-        else:
-            leaf, top = next_leaf(nodes, query, limit, stack, top, gap_square)
-            face = leaf >> 1  # NONE of NONE
-        if face == NONE:
+    waiting, waits = stack_array(WAITING, np.int64), 0
+    while limit >= 0.0:
+        face, top = next_near_leaf(wide, around, entries, top, meet_triangles)
+        if face != NONE:
+            waiting[waits] = entries[top]  # from where it was taken
+            waits += 1
+            if waits < WAITING:
+                continue
+        if waits == 0:
             break
-        count, limit = look_at(near_by, query, np.int64(2 * face), 0.0, best, count, limit)
-        around.limit[0] = min(around.limit[0], square32(limit, wide.per_length))
+        for place in range(waits):
+            face = leaf_within(waiting[place], around.limit[0])
+            if face != NONE:
+                count, limit = look_at(near_by, query, 2 * face, 0.0, best, count, limit)
+                around.limit[0] = min(around.limit[0], square32(limit, wide.per_length))
+        waits = 0
 
 
 FAR = 2.0**300  # m: no surface reaches as far by 59 decades, and products of lengths are finite

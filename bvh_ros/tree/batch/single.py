@@ -114,6 +114,14 @@ def next_child(snapshot, query, limit_of, mask, stack, top, meet):
 
 
 @inlined
+def leaf_within(entry, limit):
+    """The slot of a leaf that was taken from the stack, if it is within a limit, float32; else
+    NONE.
+    """
+    return ~child_of(entry) if entry >> 32 <= bits_of(limit) else np.int64(NONE)
+
+
+@inlined
 def next_wide_leaf(snapshot, records, place, mask, stack, top):
     """The next leaf that a ray may meet within the limit of its record, the one at place[0]:
     (slot or NONE, top).
