@@ -263,7 +263,7 @@ def answer_nearest(
             farthest = np.inf
             for i in range(count):
                 if in_order and found.bounds[i] > farthest:  # so are all that follow
-                    count, others = i, False
+                    count, others = np.int64(i), False
                     break
                 slot, found.points[i, 2] = found.slots[i], point[2]
                 lie(world, row, slot, point, signed, found, i)
