@@ -58,7 +58,7 @@ class DistanceQueries:
         list of SceneHit
             `point` is the obstacle's point closest to the given one, `t` the distance between the
             two (m), `normal` leads from the obstacle's point to the given one; zero if that lies
-            in the obstacle, and `signed` is false.
+            in the obstacle, and `signed` is false, or on the surface of a mesh that is not convex.
 
         Raises
         ------
@@ -279,7 +279,7 @@ class DistanceQueries:
             return
         columns = self._store.columns
         slot = np.flatnonzero(columns.node_handle == handles[bad[0]])[0]
-        why = 'where a mesh that is not convex touches another shape than a ball'
+        why = 'where something touches an open mesh, or all but a ball a solid not convex'
         if self._store.planar:
             why = 'in a planar scene where something touches a mesh that is not convex'
         name = self._store.registry.name(slot)

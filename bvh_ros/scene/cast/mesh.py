@@ -156,8 +156,8 @@ def touch_face(face, radius, form, shape, given, t, point, normal, triangle):
 
 @lean_kernel
 def measure_hull(solid, point, normal):
-    """`approach`'s measure of a mesh times a scale: how far the plane through its vertex farthest
-    towards the point keeps it off, and its closest point.
+    """`approach`'s measure of a convex mesh times a scale, by GJK: how far the plane through its
+    vertex farthest towards the point keeps it off, and its closest point.
     """
     hull, scale = solid
     place, apart = stack_array(3, np.float64), stack_array(3, np.float64)

@@ -16,9 +16,9 @@ surface of the shape (u = 2**-53, L the largest length in play: a coordinate of 
 shape, or an edge). How far s itself is off follows from the angle at which the ray meets the
 surface.
 
-**Other convex solids.** `approach_by` takes Newton's steps on the distance, a convex function of
-the path, and ends with a proof. Each step looks for a plane through, or next to, the solid's
-closest point, with the ball before it and all of the solid behind it:
+**Rims of cylinders, and triangles.** `approach_by` takes Newton's steps on the distance, a convex
+function of the path, and ends with a proof. Each step looks for a plane through, or next to, the
+solid's closest point, with the ball before it and all of the solid behind it:
 
       ball ->            |  ___            The ball is surely free until it touches the plane;
         ( )   - - - - -  | /   solid       there the next step begins. It is free for ever where

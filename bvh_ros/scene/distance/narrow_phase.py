@@ -13,7 +13,7 @@ from ..shapes.footprint import closest_on_footprint
 from ..shapes.hull import are_any, form_of, hull_of, hull_of_point, surface_of, triangle_hull
 from ..shapes.mesh import CONVEX, SHELL, SOLID
 from ..shapes.shape import BOX, CAPSULE, CYLINDER, MESH, SPHERE, fill_rotation, rotate, scale_of
-from ..shapes.surface import closest_between, closest_on_surface, holds_point, visit_near
+from ..shapes.surface import WAITING, closest_between, closest_on_surface, holds_point, visit_near
 from ..shapes.triangles32 import Extent
 from .certified import certified_bounds, set_normal
 from .gjk import (
@@ -31,14 +31,14 @@ from .gjk import (
     support,
 )
 
-# ---- How far a point is from a convex mesh, as GJK says.
+# ---- How far a point is from a mesh.
 
 
 @lean_kernel
 def hull_gap(hull, point, apart, normal):
-    """Distance of a point from a mesh, 0 inside; `apart` leads from its closest point there, and
-    the unit vector `normal` across the plane that proves it: next to the mesh the direction
-    between two points is noise, that vector is not.
+    """Distance of a point from a convex mesh, 0 inside, by GJK; `apart` leads from its closest
+    point there, and the unit vector `normal` across the plane that proves it: next to the mesh the
+    direction between two points is noise, that vector is not.
     """
     ball = stack_array((CORE_ROWS, 3), np.float64)
     mesh = stack_array((CORE_ROWS, 3), np.float64)
@@ -704,6 +704,12 @@ def _look_at_triangle(compared, query, leaf, square, best, count, limit):
     return np.int64(1), limit
 
 
+@inlined
+def room_for(touches):
+    """How many triangles wait: where only contact counts, the first one that touches ends it."""
+    return WAITING if touches is None else 1
+
+
 @lean_kernel
 def visit_triangles(pair, touches, best):
     """Lower best[0] to the distance of the nearest triangle of the first mesh, or to 0 if one is
@@ -726,8 +732,8 @@ def visit_triangles(pair, touches, best):
     for axis in range(3):
         plane.normal[axis] = 0.0
     compared = Compared(pair, touches, places, other_places, plane, above)
-    limit = pruning_limit(limit)
-    visit_near(compared, surface, query, best, limit, above, extent, _look_at_triangle)
+    limit, room = pruning_limit(limit), room_for(touches)
+    visit_near(compared, surface, query, best, limit, above, extent, room, _look_at_triangle)
 
 
 @inlined
@@ -757,8 +763,8 @@ def visit_both(pair, touches, best):
     above = stack_array(4, np.float32)
     no_plane32(above)
     compared = Compared(pair, touches, places, places, None, above)
-    limit = pruning_limit(limit)
-    visit_near(compared, surface, query, best, limit, above, extent, _look_at_other)
+    limit, room = pruning_limit(limit), room_for(touches)
+    visit_near(compared, surface, query, best, limit, above, extent, room, _look_at_other)
 
 
 @lean_kernel

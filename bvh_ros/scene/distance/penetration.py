@@ -12,7 +12,7 @@ from ...tree.access import two_sum
 from ...tree.compiler import chosen_by_types, inlined, lean_kernel, stack_array
 from ..shapes.hull import are_any, form_of, hull_of, hull_of_point, surface_of
 from ..shapes.mesh import CONVEX, SOLID
-from ..shapes.shape import MESH, SPHERE, rotate
+from ..shapes.shape import MESH, SPHERE, length, rotate
 from ..shapes.surface import closest_on_surface, closest_triangle, holds_point
 from .certified import certified_bounds, cross2, dot2, set_normal
 from .gjk import (
@@ -595,14 +595,16 @@ def depth_with_meshes(centre, shape, hulls, planar, points, normal):
         local[axis] = points[0, axis] = centre[axis]
     to_frame(shape, False, local)
     depth, face = closest_triangle(surface_of(hulls, shape), local, closest)
-    from_frame(shape, False, closest)
-    if form == CONVEX:  # the way out is across a face: next to that its normal has more digits
-        for axis in range(3):
-            normal[axis] = hulls.normals[hulls.spans[shape.mesh].faces[0] + face, axis]
-        rotate(shape.orientation, normal, 1.0)
-        return depth
     for axis in range(3):
-        normal[axis] = (closest[axis] - centre[axis]) / depth if depth > 0.0 else 0.0
+        if form == CONVEX:  # out across a face: next to that its normal has more digits
+            normal[axis] = hulls.normals[hulls.spans[shape.mesh].faces[0] + face, axis]
+        else:  # before the world's frame rounds the two places
+            normal[axis] = closest[axis] - local[axis]
+    from_frame(shape, False, closest)
+    size = length(normal)
+    for axis in range(3):
+        normal[axis] = normal[axis] / size if size > 0.0 else 0.0
+    rotate(shape.orientation, normal, 1.0)
     return depth
 
 
@@ -637,10 +639,13 @@ def ball_in_any(hulls, one, other, bodies, distance, points):
     if holds_point(surface, place):
         sign = -1.0
     away = closest_on_surface(surface, place, closest)
+    for axis in range(3):  # before the world's frame rounds the two places
+        place[axis] = closest[axis] - place[axis]
     from_frame(mesh, False, closest)
-    radius = ball.half[0]
+    rotate(mesh.orientation, place, 1.0)
+    size, radius = length(place), ball.half[0]
     for axis in range(3):
-        step = (closest[axis] - ball.position[axis]) / away if away > 0.0 else 0.0
+        step = place[axis] / size if size > 0.0 else 0.0
         points[side, axis] = ball.position[axis] + sign * radius * step
     return sign * away - radius
 

@@ -730,9 +730,33 @@ def is_between(a, b, c, point, place, edge):
     return inside
 
 
+LITTLE, GREAT = 2.0**-200, 2.0**200  # m: products of four such lengths are doubles
+
+
 @lean_kernel
 def closest_between(a, b, c, point, out):
-    """The same of the triangle with these corners.
+    """The same of the triangle with these corners, of any size."""
+    largest = 0.0
+    for axis in range(3):
+        one, two, three = a[axis] - point[axis], b[axis] - point[axis], c[axis] - point[axis]
+        largest = max(largest, abs(one), abs(two), abs(three))
+    if LITTLE < largest < GREAT or largest == 0.0:
+        return closest_by_normal(a, b, c, point, out)
+    exponent, scaled = math.frexp(largest)[1], stack_array((4, 3), np.float64)
+    for axis in range(3):
+        scaled[0, axis] = math.ldexp(a[axis] - point[axis], -exponent)
+        scaled[1, axis] = math.ldexp(b[axis] - point[axis], -exponent)
+        scaled[2, axis] = math.ldexp(c[axis] - point[axis], -exponent)
+        scaled[3, axis] = 0.0
+    square = closest_by_normal(scaled[0], scaled[1], scaled[2], scaled[3], out)
+    for axis in range(3):
+        out[axis] = point[axis] + math.ldexp(out[axis], exponent)
+    return math.ldexp(square, 2 * exponent)
+
+
+@lean_kernel
+def closest_by_normal(a, b, c, point, out):
+    """`closest_between`, where products of four lengths are doubles.
 
     It is the foot of the perpendicular if that is in the triangle, else on an edge with the point
     on its outer side. A sliver, of which rounding leaves no normal, is as near as its edges. So is
@@ -885,13 +909,13 @@ WAITING = 32
 
 
 @inlined
-def visit_near(near_by, surface, query, best, limit, plane, extent, look_at):
+def visit_near(near_by, surface, query, best, limit, plane, extent, room, look_at):
     """`visit_nearest` of the triangles of a surface: through the snapshot of their tree if there
     is one, and the query is near enough. `plane` as of `set_plane32`: what does not reach it is
     left out. `extent` is an `Extent`, or None for a point.
 
-    Triangles wait until the snapshot has no more of them, as each one that it comes to may show
-    that others are too far away: so few are looked at in float64.
+    Up to `room` triangles, at most WAITING, wait until the snapshot has no more of them, as each
+    one that it comes to may show that others are too far away: so few are looked at in float64.
     """
     wide, count = surface.wide, np.int64(0)
     box, entries = stack_array(6, np.float32), stack_array(STACK, np.int64)
@@ -908,7 +932,7 @@ def visit_near(near_by, surface, query, best, limit, plane, extent, look_at):
         if face != NONE:
             waiting[waits] = entries[top]  # from where it was taken
             waits += 1
-            if waits < WAITING:
+            if waits < room:
                 continue
         if waits == 0:
             break
@@ -920,7 +944,7 @@ def visit_near(near_by, surface, query, best, limit, plane, extent, look_at):
         waits = 0
 
 
-FAR = 2.0**300  # m: no surface reaches as far by 59 decades, and products of lengths are finite
+FAR = 2.0**450  # m: no surface reaches as far by 35 decades, and squares are finite
 
 
 @inlined
@@ -950,7 +974,7 @@ def closest_triangle(surface, point, out):
     near_by = NearestPoint(surface, out, stack_array(1, np.int64), towards)
     plane = stack_array(4, np.float32)
     no_plane32(plane)
-    visit_near(near_by, surface, query, best, np.inf, plane, None, _look_at_triangle)
+    visit_near(near_by, surface, query, best, np.inf, plane, None, WAITING, _look_at_triangle)
     if largest <= FAR:
         return math.sqrt(best[0]), near_by.face[0]
     for axis in range(3):

@@ -177,6 +177,16 @@ def test_what_is_taken_is_near_its_hull_everywhere():
     assert 15 < taken < 50
 
 
+def answers_about(mesh, size):
+    """How far rays and balls go, and how far points are, in units of a size."""
+    scene = scene_of(Shapes.of_meshes([mesh], [(0, 0, 0)]))
+    places = size * np.array([(4, 0.1, 0.2), (0.1, 0.2, 3), (-2, 3, 4), (0.1, 0.2, 0.3)])
+    goals = size * np.array([(0, 0.1, 0.2), (0.1, 0, 0), (0, 0, -0.1), (4, 4, 4)])
+    rays, balls = scene.raycast_many(places, goals - places), scene.sweep_many(places, goals, size)
+    gaps = [scene.nearest_many(places, signed=signed)[1][:, 0] / size for signed in (False, True)]
+    return np.concatenate([rays.t, balls.t, *gaps])
+
+
 @pytest.mark.parametrize('power', DECADES)
 def test_a_mesh_of_any_size_is_right_or_refused(power):
     size = 10.0**power
@@ -189,12 +199,5 @@ def test_a_mesh_of_any_size_is_right_or_refused(power):
         assert mesh.normals == pytest.approx(unit.normals, abs=1e-9)
         corners = (m.vertices[m.corners] for m in (mesh, unit))
         assert next(corners) / size == pytest.approx(next(corners), abs=1e-12)
-        scene = scene_of(Shapes.of_meshes([mesh], [(0, 0, 0)]))
-        hit = scene.raycast((4 * size, 0.1 * size, 0.2 * size), (0, 0.1 * size, 0.2 * size))
-        twin = scene_of(Shapes.of_meshes([unit], [(0, 0, 0)])).raycast(
-            (4, 0.1, 0.2), (0, 0.1, 0.2)
-        )
-        assert hit.t == pytest.approx(twin.t, abs=1e-12)
-        assert scene.nearest((0, 0, 3 * size))[0].t / size == pytest.approx(
-            scene_of(Shapes.of_meshes([unit], [(0, 0, 0)])).nearest((0, 0, 3))[0].t, abs=1e-9
-        )
+        found = answers_about(mesh, size)
+        assert found == pytest.approx(answers_about(unit, 1.0), abs=1e-12)

@@ -1,14 +1,14 @@
 # Copyright 2026 The bvh_ros authors
 # SPDX-License-Identifier: Apache-2.0
-"""How far things are from meshes that are not convex, or from their shadows in planar scenes:
-against brute force over all triangles.
+"""How far things are from meshes, convex or not, or from their shadows in planar scenes: against
+brute force over all triangles.
 """
 
 from typing import NamedTuple
 
 import numpy as np
 import pytest
-from scene.meshes import SOLIDS, SURFACES, holds
+from scene.meshes import CUBE, SOLIDS, SURFACES, holds
 from scene.reference import Floats, changed, icosphere, scene_of, surface_distances
 from scene.shapes.test_shadows import CORNER, WALLS
 from scipy.spatial import ConvexHull
@@ -17,10 +17,13 @@ from scipy.spatial.transform import Rotation
 from bvh_ros.scene import Mesh, Scene, Shapes
 
 LEANING = (0.3, -0.2, 0.5, 0.8)
+STONES = np.random.default_rng(9).integers(-12, 13, (60, 3))
 PLACED = {
     # whether the scene is planar, triangles, how much smaller, orientation
     'ring': (False, SOLIDS['ring'], 8.0, LEANING),
     'hollow': (False, SOLIDS['hollow'], 8.0, LEANING),
+    'cube': (False, 8 * np.rint(CUBE / abs(CUBE).max()).astype(np.int64), 8.0, LEANING),
+    'stone': (False, STONES[ConvexHull(STONES).simplices], 8.0, LEANING),
     'strip': (False, SURFACES['strip'], 8.0, LEANING),
     'ring from above': (True, SOLIDS['ring'], 8.0, (0, 0, 0.6, 0.8)),
     'leaning ring from above': (True, SOLIDS['ring'], 8.0, LEANING),
@@ -88,6 +91,18 @@ def test_nearest_and_depth_of_points(placed):
     _, found, places = scene.nearest_many(points, signed=True)
     assert found[:, 0] == pytest.approx(np.where(placed.inside, -gaps, gaps), abs=1e-12)
     assert placed.lengths(places[:, 0] - points) == pytest.approx(gaps, abs=1e-12)
+
+
+def test_normals_next_to_a_surface_are_unit_vectors(placed):
+    scene, middles = placed.scene, placed.world.mean(axis=1)
+    normals = np.cross(placed.world[:, 1] - placed.world[:, 0], placed.world[:, 2] - middles)
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
+    for depth in (1e-15, 1e-12, 1e-8):
+        for point in np.concatenate([middles + depth * normals, middles - depth * normals])[::7]:
+            hit = scene.nearest(point, signed=not scene.planar)[0]
+            if hit.t != 0.0:
+                assert np.linalg.norm(hit.normal) == pytest.approx(1.0, abs=1e-14)
+                assert abs(hit.t) <= depth + 1e-14
 
 
 def test_clearance_and_overlap_of_balls(placed):
@@ -226,7 +241,7 @@ def test_meshes(placed):
         elif other is mesh:
             thin = Shapes.of_meshes(Mesh(corners, solid=False), points, turns.as_quat())
             _, of_shells, _, _ = scene.clearance_many(thin)
-            assert (found <= of_shells).all()
+            assert (found <= of_shells + 1e-12).all()
             assert np.array_equal(found[found > 0.0], of_shells[found > 0.0])
         touches = scene.overlap_shape_many(shapes.take([0]), points, turns.as_quat())
         assert np.array_equal(touches, found == 0.0)
