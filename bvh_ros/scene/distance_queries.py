@@ -279,7 +279,10 @@ class DistanceQueries:
             return
         columns = self._store.columns
         slot = np.flatnonzero(columns.node_handle == handles[bad[0]])[0]
-        why = 'where something touches an open mesh, or all but a ball a solid not convex'
+        why = (
+            'where a shape touches an open mesh, or where another shape than a ball touches '
+            'a solid that is not convex'
+        )
         if self._store.planar:
             why = 'in a planar scene where something touches a mesh that is not convex'
         name = self._store.registry.name(slot)

@@ -410,6 +410,7 @@ def answer_clearances(
             break
         reach, mask = of_row(reaches, row), of_row(masks, row)
         write_none(results, row)
+        farthest = np.inf
         limit, wanted, looked = max(reach * ROUNDED_GAP, reach), np.int64(2), np.int64(0)
         if alike and not record[0].shaped:
             wanted = np.int64(1)
@@ -420,13 +421,13 @@ def answer_clearances(
             if count < 0:
                 return count, wanted
             for i in range(looked, count):
-                slot, farthest = found.slots[i], max(results.distances[row], 0.0) * ROUNDED_GAP
+                slot = found.slots[i]
                 if in_order and found.bounds[i] > farthest:  # so are all that follow
                     others = False
                     break
                 if node_handles[slot] != besides:
                     look(world, row, record[0], slot, reach, signed, node_handles, results)
-            farthest = max(results.distances[row], 0.0) * ROUNDED_GAP
+                    farthest = max(results.distances[row], 0.0) * ROUNDED_GAP
             if not others or last > farthest:
                 break
             looked = count if in_order else np.int64(0)

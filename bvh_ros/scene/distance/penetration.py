@@ -12,7 +12,7 @@ from ...tree.access import two_sum
 from ...tree.compiler import chosen_by_types, inlined, lean_kernel, stack_array
 from ..shapes.hull import are_any, form_of, hull_of, hull_of_point, surface_of
 from ..shapes.mesh import CONVEX, SOLID
-from ..shapes.shape import MESH, SPHERE, length, rotate
+from ..shapes.shape import MESH, SPHERE, rotate
 from ..shapes.surface import closest_on_surface, closest_triangle, holds_point
 from .certified import certified_bounds, cross2, dot2, set_normal
 from .gjk import (
@@ -35,6 +35,7 @@ from .narrow_phase import (
     fill_corners,
     from_frame,
     largest_length,
+    look_back,
     ordered,
     to_frame,
 )
@@ -595,15 +596,11 @@ def depth_with_meshes(centre, shape, hulls, planar, points, normal):
         local[axis] = points[0, axis] = centre[axis]
     to_frame(shape, False, local)
     depth, face = closest_triangle(surface_of(hulls, shape), local, closest)
-    for axis in range(3):
-        if form == CONVEX:  # out across a face: next to that its normal has more digits
+    look_back(local, closest, 3, normal)  # before the world's frame rounds the two places
+    if form == CONVEX:  # out across a face: next to that its normal has more digits
+        for axis in range(3):
             normal[axis] = hulls.normals[hulls.spans[shape.mesh].faces[0] + face, axis]
-        else:  # before the world's frame rounds the two places
-            normal[axis] = closest[axis] - local[axis]
     from_frame(shape, False, closest)
-    size = length(normal)
-    for axis in range(3):
-        normal[axis] = normal[axis] / size if size > 0.0 else 0.0
     rotate(shape.orientation, normal, 1.0)
     return depth
 
@@ -623,8 +620,8 @@ NO_DEPTH = -np.inf
 @lean_kernel
 def ball_in_any(hulls, one, other, bodies, distance, points):
     """`signed_by_surface` where there are meshes of any form."""
-    sign, ball, place = 1.0, one, stack_array(3, np.float64)
-    mesh, side = other, 0
+    sign, ball, mesh, side = 1.0, one, other, 0
+    place, towards = stack_array(3, np.float64), stack_array(3, np.float64)
     if form_of(hulls, other) == CONVEX:
         hulls, ball, mesh, side = bodies.query_hulls, other, one, 1
     form = form_of(hulls, mesh)
@@ -639,14 +636,12 @@ def ball_in_any(hulls, one, other, bodies, distance, points):
     if holds_point(surface, place):
         sign = -1.0
     away = closest_on_surface(surface, place, closest)
-    for axis in range(3):  # before the world's frame rounds the two places
-        place[axis] = closest[axis] - place[axis]
+    look_back(place, closest, 3, towards)  # before the world's frame rounds the two places
     from_frame(mesh, False, closest)
-    rotate(mesh.orientation, place, 1.0)
-    size, radius = length(place), ball.half[0]
+    rotate(mesh.orientation, towards, 1.0)
+    radius = ball.half[0]
     for axis in range(3):
-        step = place[axis] / size if size > 0.0 else 0.0
-        points[side, axis] = ball.position[axis] + sign * radius * step
+        points[side, axis] = ball.position[axis] + sign * radius * towards[axis]
     return sign * away - radius
 
 

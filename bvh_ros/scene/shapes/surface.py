@@ -53,7 +53,7 @@ from ...tree.access import (
     widen,
 )
 from ...tree.compiler import inlined, lean_kernel, stack_array
-from .shape import length
+from .shape import length, scale_of
 from .triangles32 import LINE, Ball, fill_line, meet_crossed, meet_touched, meet_triangles
 
 
@@ -730,9 +730,6 @@ def is_between(a, b, c, point, place, edge):
     return inside
 
 
-LITTLE, GREAT = 2.0**-200, 2.0**200  # m: products of four such lengths are doubles
-
-
 @lean_kernel
 def closest_between(a, b, c, point, out):
     """The same of the triangle with these corners, of any size."""
@@ -740,18 +737,19 @@ def closest_between(a, b, c, point, out):
     for axis in range(3):
         one, two, three = a[axis] - point[axis], b[axis] - point[axis], c[axis] - point[axis]
         largest = max(largest, abs(one), abs(two), abs(three))
-    if LITTLE < largest < GREAT or largest == 0.0:
+    scale = scale_of(largest)
+    if scale == 1.0:
         return closest_by_normal(a, b, c, point, out)
-    exponent, scaled = math.frexp(largest)[1], stack_array((4, 3), np.float64)
+    scaled = stack_array((4, 3), np.float64)
     for axis in range(3):
-        scaled[0, axis] = math.ldexp(a[axis] - point[axis], -exponent)
-        scaled[1, axis] = math.ldexp(b[axis] - point[axis], -exponent)
-        scaled[2, axis] = math.ldexp(c[axis] - point[axis], -exponent)
+        scaled[0, axis] = (a[axis] - point[axis]) * scale
+        scaled[1, axis] = (b[axis] - point[axis]) * scale
+        scaled[2, axis] = (c[axis] - point[axis]) * scale
         scaled[3, axis] = 0.0
     square = closest_by_normal(scaled[0], scaled[1], scaled[2], scaled[3], out)
     for axis in range(3):
-        out[axis] = point[axis] + math.ldexp(out[axis], exponent)
-    return math.ldexp(square, 2 * exponent)
+        out[axis] = point[axis] + out[axis] / scale
+    return square / scale / scale
 
 
 @lean_kernel

@@ -184,7 +184,8 @@ def answers_about(mesh, size):
     goals = size * np.array([(0, 0.1, 0.2), (0.1, 0, 0), (0, 0, -0.1), (4, 4, 4)])
     rays, balls = scene.raycast_many(places, goals - places), scene.sweep_many(places, goals, size)
     gaps = [scene.nearest_many(places, signed=signed)[1][:, 0] / size for signed in (False, True)]
-    return np.concatenate([rays.t, balls.t, *gaps])
+    singles = scene.raycast(places[0], goals[0]).t, scene.nearest((0, 0, 3 * size))[0].t / size
+    return np.concatenate([rays.t, balls.t, *gaps, singles])
 
 
 @pytest.mark.parametrize('power', DECADES)
